@@ -1,0 +1,1 @@
+"""What a picture is: types, stage contracts, constants and the NumPy reference."""

@@ -1,0 +1,65 @@
+"""What a presenter is, and the facts about a screen that it may use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tsplat.core.types import U8, Frame
+
+
+@dataclass(frozen=True)
+class Terminal:
+    """A screen in plain facts. Nothing here touches a tty; ``tsplat.terminal`` finds them out."""
+
+    columns: int = 80
+    rows: int = 24
+    cell_width: float = 10.0  # px
+    cell_height: float = 20.0  # px
+    colors: int = 1 << 24  # 1 << 24, 256 or 16: what SGR can show
+    kitty: bool = False  # answered a kitty graphics query with OK
+    iterm2: bool = False  # takes OSC 1337 File=
+    sixel: bool = False  # DA1 lists attribute 4
+    sixel_registers: int = 256  # colour registers at most
+    sixel_max: tuple[int, int] = (0, 0)  # px, largest sixel picture; 0 for unknown
+    synchronized: bool = False  # DEC mode 2026
+    name: str = ""  # what it calls itself (XTVERSION), printable
+    multiplexer: str = ""  # "tmux" or "screen" when one is in between
+    tty: bool = True  # False: output is not a terminal
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Width and height in px of the area a picture may fill: all rows but the last."""
+        rows = max(1, self.rows - 1)
+        return max(1, int(self.columns * self.cell_width)), max(1, int(rows * self.cell_height))
+
+
+def _nothing(terminal: Terminal) -> bytes:
+    return b""
+
+
+@dataclass(frozen=True)
+class Presenter:
+    """A way to show a frame: one row of the table that ``tsplat plugins`` prints.
+
+    ``encode(frame, terminal, previous)`` is pure: the bytes that turn a screen showing
+    ``previous`` (``None``: nothing, or unknown) into one that shows ``frame`` from the top left
+    cell on, leaving the last row alone. The caller homes the cursor, wraps the bytes into a
+    synchronized update and writes them at once. Rounding to 8 bits is ``Frame.to_uint8``'s.
+    """
+
+    name: str
+    summary: str  # one line
+    encode: Callable[[Frame, Terminal, Frame | None], bytes]
+    size: Callable[[Terminal], tuple[int, int]]  # px (width, height) worth rendering
+    unsupported: Callable[[Terminal], str | None]  # None, or why this terminal cannot show it
+    clear: Callable[[Terminal], bytes] = _nothing  # takes the picture away again
+    rank: int = -1  # "auto" takes the highest that is supported
+
+
+def changed(image: U8, previous: Frame | None) -> bool:
+    """Whether ``image`` [H, W, 3] differs from ``previous`` as shown."""
+    if previous is None:
+        return True
+    before = previous.to_uint8()
+    return before.shape != image.shape or bool((before != image).any())
