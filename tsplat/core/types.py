@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +22,6 @@ I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 Floats = NDArray[np.float32] | NDArray[np.float64]
 """float32 from every backend; float64 from the reference when it works in float64."""
-
-_NOTHING: Mapping[str, int] = MappingProxyType({})
 
 
 def _zero_origin() -> F64:
@@ -50,7 +47,7 @@ class Scene:
     sh: F32  # [N, K, 3]     spherical harmonics, K in {1, 4, 9, 16}; display-referred RGB
     origin: F64 = field(default_factory=_zero_origin)  # [3]  world units
     name: str = "scene"  # for messages
-    dropped: Mapping[str, int] = _NOTHING  # reason -> Gaussians the loader left out
+    dropped: Mapping[str, int] = field(default_factory=dict)  # reason -> Gaussians the loader left out
 
     def __post_init__(self) -> None:
         check_array("Scene.means", self.means, np.float32, ("N", 3))

@@ -1,0 +1,45 @@
+"""The C kernel as a backend. This module only says whether it is there; ``wrap`` calls it."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from tsplat.core.params import RenderParams
+from tsplat.core.stages import Backend, Stages
+from tsplat.core.types import Scene
+from tsplat.hookspecs import hookimpl
+
+REMEDY = "install a C compiler (gcc or clang) and reinstall tsplat with pip install --no-cache-dir"
+
+
+def unavailable() -> str | None:
+    """Why the kernel cannot be used, and what to do about it; None if it can."""
+    if find_spec("tsplat.backends.cffi._kernel") is not None:
+        return None
+    report = Path(__file__).with_name("build_error.txt")
+    cause = " ".join(report.read_text().split()) if report.is_file() else "not built at install"
+    return f"no C kernel: {cause}; {REMEDY}"
+
+
+def cannot(scene: Scene, params: RenderParams) -> str | None:
+    """The kernel works in float32."""
+    return "computes in float32; float64 needs numpy" if params.float64 else None
+
+
+def load() -> Stages:
+    """The four stages in C."""
+    from tsplat.backends.cffi import wrap
+
+    return Stages(project=wrap.project, sort=wrap.sort, bin=wrap.bin, composite=wrap.composite)
+
+
+@hookimpl
+def tsplat_backends() -> list[Backend]:
+    """One row: ``cffi``."""
+    return [
+        Backend(
+            "cffi", "C kernel, float32, threads by OpenMP", load,
+            rank=20, unavailable=unavailable, cannot=cannot,
+        )
+    ]  # fmt: skip

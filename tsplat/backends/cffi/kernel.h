@@ -1,0 +1,89 @@
+/* The C kernel's interface, read by the compiler and by cffi alike (which skips # lines).
+ *
+ * The caller owns every buffer; the kernel allocates nothing and keeps no state. Shapes stand
+ * beside each pointer; N Gaussians, M splats, T tiles, I intersections. All arrays are
+ * C-contiguous. Functions return a status: 0, or one of the TSPLAT_ codes below.
+ */
+#ifndef TSPLAT_KERNEL_H
+#define TSPLAT_KERNEL_H
+#include <stdint.h>
+
+enum {
+    TSPLAT_TILE = 16,           /* px, side of a tile */
+    TSPLAT_RECORD = 16,         /* floats of scratch per Gaussian in tsplat_project */
+    TSPLAT_CHUNK = 2048,        /* Gaussians per entry of chunk_counts in tsplat_project */
+    TSPLAT_RADIX = 2048,        /* entries of scratch per thread in tsplat_sort */
+    TSPLAT_BAD_SIZE = 1,        /* a count, a size or a thread number out of range */
+    TSPLAT_BAD_ID = 2           /* an index points outside the array it indexes */
+};
+
+typedef struct {
+    const float *means;         /* [N, 3] world units, relative to the scene's origin */
+    const float *quats;         /* [N, 4] w x y z, unit */
+    const float *scales;        /* [N, 3] world units */
+    const float *opacities;     /* [N]    0..1 */
+    const float *sh;            /* [N, coefficients, 3] */
+    int64_t count;              /* N */
+    int32_t coefficients;       /* 1, 4, 9 or 16 */
+} tsplat_scene;
+
+typedef struct {
+    double rotation[9];         /* world to camera, row-major */
+    double centre[3];           /* world units, relative to the scene's origin */
+    double fx, fy, cx, cy;      /* px */
+    double near_, far_;         /* world units */
+    int32_t width, height;      /* px */
+} tsplat_camera;
+
+typedef struct {
+    double alpha_threshold;
+    double transmittance_min;
+    int32_t sh_degree;          /* 0..3, at most what the scene's coefficients allow */
+    int32_t antialias;          /* 0 or 1 */
+} tsplat_params;
+
+typedef struct {
+    float *means2d;             /* [M, 2] px */
+    float *factors;             /* [M, 3] u11 u12 u22, 1/px */
+    float *depths;              /* [M]    camera z */
+    float *opacities;           /* [M] */
+    float *colors;              /* [M, 3] */
+    float *radii;               /* [M, 2] px */
+    int32_t *gaussian_ids;      /* [M] */
+    int64_t count;              /* M */
+    int32_t width, height;      /* px */
+} tsplat_splats;
+
+/* 1 if the kernel was built with OpenMP, else 0: then every call runs on one thread. */
+int tsplat_has_openmp(void);
+
+/* Projects all Gaussians into scratch and counts what stays visible.
+ * scratch [N, TSPLAT_RECORD]; chunk_counts [ceil(N / TSPLAT_CHUNK)]; totals [2]: M, overflowed. */
+int tsplat_project(const tsplat_scene *scene, const tsplat_camera *camera,
+                   const tsplat_params *params, float *scratch, int32_t *chunk_counts,
+                   int64_t *totals, int threads);
+
+/* Copies the visible ones from scratch into splats, whose arrays have room for M. */
+int tsplat_gather(const float *scratch, const int32_t *chunk_counts, int64_t gaussians,
+                  const tsplat_splats *splats, int threads);
+
+/* Stable sort by depth. order [M]; scratch [2 M] pairs of key and index;
+ * histograms [threads, TSPLAT_RADIX]. */
+int tsplat_sort(const float *depths, int64_t count, int32_t *order, uint64_t *scratch,
+                uint32_t *histograms, int threads);
+
+/* Counts intersections. tile_offsets [T + 1] is final after this call; cursors [threads, T] is
+ * scratch that tsplat_bin_fill needs unchanged, called with the same order and threads. */
+int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int64_t *tile_offsets,
+                     int64_t *cursors, int threads);
+
+/* Lists the splats of each tile, near to far. splat_ids [I], I = tile_offsets[T]. */
+int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, int64_t *cursors,
+                    int32_t *splat_ids, int threads);
+
+/* Makes the picture. rgb [H, W, 3], transmittance [H, W], depth [H, W] or NULL. Any tile size
+ * from 1 to TSPLAT_TILE, so that other backends' bins serve too. */
+int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
+                     const int32_t *splat_ids, int32_t tile_size, const tsplat_params *params,
+                     float *rgb, float *transmittance, float *depth, int threads);
+#endif
