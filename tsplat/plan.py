@@ -170,14 +170,14 @@ def make_plan(
         PluginError: a named backend is not installed, not available, or cannot do this.
     """
     registry = registry or plugins()
-    params = params or RenderParams()
+    asked = params or RenderParams()
     wanted = parse_backend(backend)
     ranked = sorted(registry.backends.values(), key=lambda b: -b.rank)
     loaded: dict[str, Stages] = {}
     passed_over: dict[str, str] = {}
     for name in dict.fromkeys(n for n in wanted.values() if n != AUTO):
         row = registry.find("backend", name)
-        reason = why_not(row, scene, params)
+        reason = why_not(row, scene, asked)
         if reason is not None:
             raise PluginError(f"backend {name!r} cannot be used: {reason}")
         loaded[name] = load_backend(row)
@@ -188,7 +188,7 @@ def make_plan(
                 continue
             if row.name in loaded:
                 return row.name
-            reason = why_not(row, scene, params)
+            reason = why_not(row, scene, asked)
             if reason is None:
                 try:
                     loaded[row.name] = load_backend(row)
@@ -214,9 +214,9 @@ def make_plan(
     names = {stage: choice.backend for stage, choice in choices.items()}
     stages = Stages(**{stage: getattr(loaded[name], stage) for stage, name in names.items()})
     fused = loaded[names["project"]].fused if len(set(names.values())) == 1 else None
-    params, left_out = _leave_out(scene, params)
+    needed, left_out = _leave_out(scene, asked)
     return Plan(
-        params=params,
+        params=needed,
         threads=threads or default_threads(),
         choices=choices,
         stages=stages,

@@ -70,9 +70,12 @@ class Registry:
 
     def table(self, kind: str) -> dict[str, Any]:
         """The table of one kind: ``backend``, ``presenter`` or ``reader``."""
-        return {"backend": self.backends, "presenter": self.presenters, "reader": self.readers}[
-            kind
-        ]
+        tables: dict[str, dict[str, Any]] = {
+            "backend": self.backends,
+            "presenter": self.presenters,
+            "reader": self.readers,
+        }
+        return tables[kind]
 
     def find(self, kind: str, name: str) -> Any:
         """The row called ``name``.
@@ -202,7 +205,7 @@ def load_backend(backend: Backend) -> Stages:
 
 def _load(backend: Backend) -> Stages | PluginError:
     try:
-        stages = backend.load()
+        stages: object = backend.load()
     except Exception as error:
         return PluginError(f"backend {backend.name!r} failed to load: {_one_line(error)}")
     if not isinstance(stages, Stages):

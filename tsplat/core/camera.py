@@ -89,7 +89,7 @@ class Camera:
     @cached_property
     def centre(self) -> F64:
         """[3] world units: the point that every ray leaves from."""
-        return -np.linalg.solve(self.rotation, self.viewmat[:3, 3])
+        return np.asarray(-np.linalg.solve(self.rotation, self.viewmat[:3, 3]), np.float64)
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view in ``width`` x ``height`` pixels; ``K`` is scaled per axis."""

@@ -113,7 +113,10 @@ def _project_rows(
 
     # Jacobian of the projection at p, [EWA] eq. 29, with its slopes held near the picture: far
     # outside it the linear approximation would blow a Gaussian up to any size.
-    margin_x, margin_y = CLAMP_MARGIN * camera.width / (2 * fx), CLAMP_MARGIN * camera.height / (2 * fy)
+    margin_x, margin_y = (
+        CLAMP_MARGIN * camera.width / (2 * fx),
+        CLAMP_MARGIN * camera.height / (2 * fy),
+    )
     u = np.clip(slope_x, -cx / fx - margin_x, (camera.width - cx) / fx + margin_x)
     v = np.clip(slope_y, -cy / fy - margin_y, (camera.height - cy) / fy + margin_y)
     # A = J R Rq S [2, 3] by rows: columns are the Gaussian's own axes on the image plane, px.
@@ -131,7 +134,9 @@ def _project_rows(
         opacity = opacity * np.sqrt(det_sharp / det)
     var_x, var_y = xx + EPS2D, yy + EPS2D
 
-    fits = (xx + yy <= VARIANCE_MAX) & (abs(mean_x) <= OFFSCREEN_MAX) & (abs(mean_y) <= OFFSCREEN_MAX)
+    fits = (
+        (xx + yy <= VARIANCE_MAX) & (abs(mean_x) <= OFFSCREEN_MAX) & (abs(mean_y) <= OFFSCREEN_MAX)
+    )
     overflowed = len(fits) - int(fits.sum())
     # alpha >= threshold inside the ellipse sigma <= ln(opacity / threshold); this is its box.
     reach = 2 * np.log(np.maximum(opacity / threshold, 1))
@@ -180,9 +185,7 @@ def project(
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     for name in ("means2d", "factors", "opacities", "colors", "radii"):
         columns[name] = columns[name].astype(dtype)
-    return Splats(
-        **columns, width=camera.width, height=camera.height, overflowed=overflowed
-    )
+    return Splats(**columns, width=camera.width, height=camera.height, overflowed=overflowed)
 
 
 def sort(splats: Splats, workspace: Workspace | None = None) -> I32:
@@ -205,7 +208,7 @@ def bin(
     """See :class:`tsplat.core.stages.Bin`. Lists every tile that a splat's box touches."""
     columns, rows = -(-splats.width // tile_size), -(-splats.height // tile_size)
     low, high = pixel_boxes(splats)
-    empty = (low > high).any(1)
+    empty = np.any(low > high, axis=1)
     first, last = (low // tile_size)[order], (high // tile_size)[order]
     across, down = (last - first + 1).T.astype(np.int64)
     counts = np.where(empty[order], 0, across * down)
@@ -259,10 +262,10 @@ def composite(
         stopped = np.zeros(t.shape, bool)
         for start in range(0, len(ids), DEEP):
             k = ids[start : start + DEEP]
-            mean = splats.means2d[k].astype(dtype)[:, :, None, None]
+            mean_x, mean_y = splats.means2d[k].astype(dtype).T[:, :, None, None]
             u11, u12, u22 = splats.factors[k].astype(dtype).T[:, :, None, None]
             opacity = splats.opacities[k].astype(dtype)[:, None, None]
-            dx, dy = x - mean[:, 0], y - mean[:, 1]
+            dx, dy = x - mean_x, y - mean_y
             sigma = ((u11 * dx + u12 * dy) ** 2 + (u22 * dy) ** 2) / 2
             alpha = np.minimum(opacity * np.exp(-sigma), dtype(ALPHA_MAX))
             reached = alpha >= params.alpha_threshold
@@ -276,7 +279,9 @@ def composite(
             weight = np.where(drawn & reached, before * alpha, 0)
             rgb[rows, columns] += np.einsum("kyx,kc->yxc", weight, splats.colors[k].astype(dtype))
             if depth is not None:
-                depth[rows, columns] += np.einsum("kyx,k->yx", weight, splats.depths[k].astype(dtype))
+                depth[rows, columns] += np.einsum(
+                    "kyx,k->yx", weight, splats.depths[k].astype(dtype)
+                )
             if margins is not None:
                 _note_margins(margins[rows, columns], alpha, before, after, stopped, params)
             t[:] = np.minimum(t, np.where(drawn, after, 1).min(axis=0))  # after the last one drawn
@@ -300,9 +305,7 @@ def _note_margins(
         np.minimum(margins, off.min(axis=0), out=margins)
 
 
-def render(
-    scene: Scene, camera: Camera, params: RenderParams, margins: F64 | None = None
-) -> Frame:
+def render(scene: Scene, camera: Camera, params: RenderParams, margins: F64 | None = None) -> Frame:
     """The picture, by the four stages above; with :data:`IDEAL` as params, the true one."""
     splats = project(scene, camera, params)
     return composite(splats, bin(splats, sort(splats)), params, margins=margins)

@@ -47,7 +47,9 @@ class Scene:
     sh: F32  # [N, K, 3]     spherical harmonics, K in {1, 4, 9, 16}; display-referred RGB
     origin: F64 = field(default_factory=_zero_origin)  # [3]  world units
     name: str = "scene"  # for messages
-    dropped: Mapping[str, int] = field(default_factory=dict)  # reason -> Gaussians the loader left out
+    dropped: Mapping[str, int] = field(
+        default_factory=dict
+    )  # reason -> Gaussians the loader left out
 
     def __post_init__(self) -> None:
         check_array("Scene.means", self.means, np.float32, ("N", 3))
@@ -99,7 +101,9 @@ class Splats:
     depths: F32  # [M]           camera z, > 0; computed in float64, compared as float32
     opacities: Floats  # [M]     0..1, after the antialias factor
     colors: Floats  # [M, 3]     RGB >= 0
-    radii: Floats  # [M, 2]      px; the box mean +- radii holds every pixel centre the splat reaches
+    radii: (
+        Floats  # [M, 2]      px; the box mean +- radii holds every pixel centre the splat reaches
+    )
     gaussian_ids: I32  # [M]     row in Scene, increasing
     width: int  # px
     height: int  # px
@@ -147,5 +151,5 @@ class Frame:
 
     def to_uint8(self) -> U8:
         """``floor(clip(rgb, 0, 1) * 255 + 0.5)``, [H, W, 3]; the background counts as black."""
-        scaled = np.clip(self.rgb, 0, 1) * self.rgb.dtype.type(255) + self.rgb.dtype.type(0.5)
+        scaled = np.asarray(np.clip(self.rgb, 0, 1) * 255 + 0.5)  # a Python float keeps float32
         return scaled.astype(np.uint8)

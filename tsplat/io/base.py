@@ -1,13 +1,19 @@
-"""What a scene reader is."""
+"""What a scene reader is, and what every reader needs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import NoReturn, Protocol
 
-from tsplat.core.types import Scene
+import numpy as np
+
+from tsplat.core.errors import SceneError, printable
+from tsplat.core.types import I64, Scene
+
+SAMPLE_SEED = 0x5EED
+"""The same file gives the same sample on every run."""
 
 
 def _silent(done: int, total: int) -> None:
@@ -42,3 +48,18 @@ class Reader:
     summary: str  # one line
     recognises: Callable[[bytes], bool]  # the file's first 4096 bytes
     load: Callable[[], Read]  # heavy imports go in here
+
+
+def sample_rows(total: int, keep: int) -> I64:
+    """``keep`` of ``total`` rows, increasing: one drawn from each of ``keep`` equal stretches.
+
+    A plain stride would follow any period in the file's order, and a plain draw leaves gaps;
+    this has neither fault, and the end of the file counts like its beginning.
+    """
+    edges = np.arange(keep + 1, dtype=np.int64) * total // keep
+    return np.random.default_rng(SAMPLE_SEED).integers(edges[:-1], edges[1:])
+
+
+def refuse(path: Path, fault: str) -> NoReturn:
+    """Raises the SceneError about ``path``: its name made safe to show, then ``fault``."""
+    raise SceneError(f"{printable(path)}: {fault}")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from tsplat.core.types import U8, Frame
+if TYPE_CHECKING:  # tsplat.terminal needs Terminal, but not NumPy
+    from tsplat.core.types import U8, Frame
 
 
 @dataclass(frozen=True)
@@ -16,7 +18,7 @@ class Terminal:
     rows: int = 24
     cell_width: float = 10.0  # px
     cell_height: float = 20.0  # px
-    colors: int = 1 << 24  # 1 << 24, 256 or 16: what SGR can show
+    colors: int = 1 << 24  # 1 << 24, 256, 16 or 2 (none, NO_COLOR): what SGR may show
     kitty: bool = False  # answered a kitty graphics query with OK
     iterm2: bool = False  # takes OSC 1337 File=
     sixel: bool = False  # DA1 lists attribute 4
@@ -58,8 +60,10 @@ class Presenter:
 
 
 def changed(image: U8, previous: Frame | None) -> bool:
-    """Whether ``image`` [H, W, 3] differs from ``previous`` as shown."""
+    """Whether ``image`` [H, W, 3], 8 bits, differs from ``previous`` as shown."""
     if previous is None:
         return True
+    if previous.rgb.shape != image.shape:
+        return True
     before = previous.to_uint8()
-    return before.shape != image.shape or bool((before != image).any())
+    return bool((before != image).any())

@@ -18,7 +18,8 @@ from tsplat.core.types import F32, F64, Scene
 ODDITIES = (
     "equal depths",  # many Gaussians in planes; ties keep scene order
     "twins",  # the same Gaussian several times, in other colours
-    "needles",  # one axis up to 300 times the others
+    "needles",  # one axis some 300 times the others
+    "threads",  # one axis some 10,000 times the others, across the whole picture
     "discs",  # one axis 1000 times thinner
     "opaque",  # stacks that stop pixels early
     "faint",  # alpha just above and below the threshold
@@ -34,7 +35,8 @@ ODDITIES = (
 def _quats(rng: np.random.Generator, n: int) -> F32:
     quats = rng.normal(size=(n, 4))
     quats[np.linalg.norm(quats, axis=1) < 1e-3] = 1, 0, 0, 0
-    return (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    return quats.astype(np.float32)
 
 
 def _off_threshold(opacities: F64) -> F64:
@@ -59,6 +61,10 @@ def make_scene(seed: int, n: int, degree: int, oddities: frozenset[str]) -> Scen
     if "needles" in oddities:
         scales[some(), 0] *= 30
         scales[some(), 1] /= 10
+    if "threads" in oddities:
+        thread = some()
+        scales[thread, 0] *= 100
+        scales[thread, 1:] /= 100
     if "discs" in oddities:
         scales[some(), 2] *= 1e-3
     if "opaque" in oddities:

@@ -1,6 +1,6 @@
 """Builds the C kernel with cffi in API mode; run by setup.py, importable without NumPy.
 
-    python -m tsplat.backends.cffi.build --constants    # rewrite constants.h from constants.py
+python -m tsplat.backends.cffi.build --constants    # rewrite constants.h from constants.py
 """
 
 from __future__ import annotations

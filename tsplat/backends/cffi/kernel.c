@@ -383,43 +383,52 @@ static int any_open(const tile_state *tile) {
     return most > 0;
 }
 
+/* Makes the pixels of one block of at most TILE x TILE from one tile's list. */
+static int block(const tsplat_splats *splats, const int32_t *ids, int64_t count, int32_t x0,
+                 int32_t y0, int32_t columns, int32_t rows, const tsplat_params *params,
+                 float *rgb, float *transmittance, float *depth) {
+    float threshold = (float)params->alpha_threshold, stop = (float)params->transmittance_min;
+    tile_state tile;
+    memset(&tile, 0, sizeof tile);
+    for (int y = 0; y < rows; y++) /* lanes outside the picture stay closed */
+        for (int x = 0; x < columns; x++) tile.t[y][x] = tile.final[y][x] = 1.0f;
+    for (int64_t i = 0; i < count; i++) {
+        if (ids[i] < 0 || ids[i] >= splats->count) return 1;
+        draw(splats, ids[i], x0, y0, threshold, stop, depth != NULL, &tile);
+        if (i % 16 == 15 && !any_open(&tile)) break;
+    }
+    for (int y = 0; y < rows; y++) {
+        int64_t at = (int64_t)(y0 + y) * splats->width + x0;
+        for (int x = 0; x < columns; x++) {
+            rgb[3 * (at + x)] = tile.r[y][x];
+            rgb[3 * (at + x) + 1] = tile.g[y][x];
+            rgb[3 * (at + x) + 2] = tile.b[y][x];
+        }
+        memcpy(transmittance + at, tile.final[y], sizeof(float) * columns);
+        if (depth) memcpy(depth + at, tile.z[y], sizeof(float) * columns);
+    }
+    return 0;
+}
+
 int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
                      const int32_t *splat_ids, int32_t tile_size, const tsplat_params *params,
                      float *rgb, float *transmittance, float *depth, int threads) {
     int32_t width = splats->width, height = splats->height;
-    if (width < 1 || height < 1 || tile_size < 1 || tile_size > TILE || threads < 1)
-        return TSPLAT_BAD_SIZE;
-    int64_t across = (width + tile_size - 1) / tile_size, down = (height + tile_size - 1) / tile_size;
-    float threshold = (float)params->alpha_threshold, stop = (float)params->transmittance_min;
+    if (width < 1 || height < 1 || tile_size < 1 || threads < 1) return TSPLAT_BAD_SIZE;
+    int64_t across = ((int64_t)width + tile_size - 1) / tile_size;
+    int64_t down = ((int64_t)height + tile_size - 1) / tile_size;
     int bad = 0;
 #pragma omp parallel for schedule(dynamic, 4) num_threads(threads) reduction(| : bad)
     for (int64_t k = 0; k < across * down; k++) {
         int32_t x0 = (int32_t)(k % across) * tile_size, y0 = (int32_t)(k / across) * tile_size;
-        int32_t columns = (int32_t)min64(tile_size, width - x0);
-        int32_t rows = (int32_t)min64(tile_size, height - y0);
-        tile_state tile;
-        memset(&tile, 0, sizeof tile);
-        for (int y = 0; y < rows; y++) /* lanes outside the picture stay closed */
-            for (int x = 0; x < columns; x++) tile.t[y][x] = tile.final[y][x] = 1.0f;
-        int64_t begin = tile_offsets[k], end = tile_offsets[k + 1];
-        for (int64_t i = begin; i < end; i++) {
-            if (splat_ids[i] < 0 || splat_ids[i] >= splats->count) {
-                bad = 1;
-                break;
-            }
-            draw(splats, splat_ids[i], x0, y0, threshold, stop, depth != NULL, &tile);
-            if ((i - begin) % 16 == 15 && !any_open(&tile)) break;
-        }
-        for (int y = 0; y < rows; y++) {
-            int64_t at = (int64_t)(y0 + y) * width + x0;
-            for (int x = 0; x < columns; x++) {
-                rgb[3 * (at + x)] = tile.r[y][x];
-                rgb[3 * (at + x) + 1] = tile.g[y][x];
-                rgb[3 * (at + x) + 2] = tile.b[y][x];
-            }
-            memcpy(transmittance + at, tile.final[y], sizeof(float) * columns);
-            if (depth) memcpy(depth + at, tile.z[y], sizeof(float) * columns);
-        }
+        int32_t x1 = (int32_t)min64((int64_t)x0 + tile_size, width);
+        int32_t y1 = (int32_t)min64((int64_t)y0 + tile_size, height);
+        const int32_t *ids = splat_ids + tile_offsets[k];
+        int64_t count = tile_offsets[k + 1] - tile_offsets[k];
+        for (int32_t y = y0; y < y1; y += TILE) /* one block unless the tiles are large */
+            for (int32_t x = x0; x < x1; x += TILE)
+                bad |= block(splats, ids, count, x, y, (int32_t)min64(TILE, x1 - x),
+                             (int32_t)min64(TILE, y1 - y), params, rgb, transmittance, depth);
     }
     return bad ? TSPLAT_BAD_ID : 0;
 }

@@ -81,8 +81,8 @@ int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int64_t 
 int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, int64_t *cursors,
                     int32_t *splat_ids, int threads);
 
-/* Makes the picture. rgb [H, W, 3], transmittance [H, W], depth [H, W] or NULL. Any tile size
- * from 1 to TSPLAT_TILE, so that other backends' bins serve too. */
+/* Makes the picture. rgb [H, W, 3], transmittance [H, W], depth [H, W] or NULL. Any tile
+ * size, so that other backends' bins serve too. */
 int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
                      const int32_t *splat_ids, int32_t tile_size, const tsplat_params *params,
                      float *rgb, float *transmittance, float *depth, int threads);

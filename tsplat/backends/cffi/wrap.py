@@ -31,9 +31,7 @@ def _pointer(array: NDArray[Any] | None, ctype: str) -> Any:
 
 def _scene(scene: Scene) -> Any:
     fields = [(n, _pointer(getattr(scene, n), "float")) for n in _SCENE_ARRAYS]
-    return ffi.new(
-        "tsplat_scene *", dict(fields, count=len(scene), coefficients=scene.sh.shape[1])
-    )
+    return ffi.new("tsplat_scene *", dict(fields, count=len(scene), coefficients=scene.sh.shape[1]))
 
 
 _SCENE_ARRAYS = ("means", "quats", "scales", "opacities", "sh")

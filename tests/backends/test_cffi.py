@@ -1,0 +1,116 @@
+"""What is special about the C kernel: its header, its build, what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tsplat.backends.cffi._kernel import lib
+
+import tsplat.backends.cffi as package
+from tests.conftest import ROOT, gaussians, straight
+from tsplat.backends.cffi import build, wrap
+from tsplat.core import reference
+from tsplat.core.errors import KernelError, SceneError
+from tsplat.core.params import RenderParams
+from tsplat.core.types import Bins
+from tsplat.core.workspace import Workspace
+
+PARAMS = RenderParams()
+
+
+@pytest.fixture
+def stages():
+    """Splats and bins of a small scene, and a workspace."""
+    splats = reference.project(gaussians([[0, 0, 4], [0.1, 0, 5]]), straight(), PARAMS)
+    return splats, reference.bin(splats, reference.sort(splats)), Workspace(2)
+
+
+def test_constants_h_is_current():
+    """The kernel's numbers are those of core/constants.py."""
+    assert (Path(build.__file__).with_name("constants.h")).read_text() == build.constants_h()
+
+
+def test_the_kernel_has_openmp_here():
+    """The compiler has OpenMP here, so the threads of the other tests are real."""
+    assert lib.tsplat_has_openmp() == 1
+
+
+def test_no_machine_specific_flags():
+    """What is installed runs on any CPU of its kind and keeps IEEE arithmetic."""
+    text = (ROOT / "setup.py").read_text() + Path(build.__file__).read_text()
+    assert "-march" not in text
+    assert "fast-math" not in text
+    assert "-ffp-contract=off" in text
+
+
+def test_without_the_kernel_the_reason_and_remedy_are_given(monkeypatch, tmp_path):
+    """The compiler's complaint, kept at install, is quoted; so is what to do."""
+    (tmp_path / "build_error.txt").write_text("CompileError: command 'cc' failed\n")
+    monkeypatch.setattr(package, "find_spec", lambda name: None)
+    monkeypatch.setattr(package, "__file__", str(tmp_path / "__init__.py"))
+    reason = package.unavailable()
+    assert "command 'cc' failed" in reason
+    assert "install a C compiler" in reason
+
+
+def test_float64_is_refused_with_a_reason():
+    """The backend answers "cannot" before it is asked to compute."""
+    assert "float64 needs numpy" in package.cannot(gaussians([0, 0, 1]), RenderParams(float64=True))
+
+
+def test_splats_of_the_wrong_type_are_refused(stages):
+    """A float64 array from another backend is an error, not a reinterpretation of its bytes."""
+    splats, bins, workspace = stages
+    wrong = replace(splats, means2d=splats.means2d.astype(np.float64))
+    with pytest.raises(SceneError, match=r"Splats.means2d: expected .*float32 \[2, 2\]"):
+        wrap.composite(wrong, bins, PARAMS, workspace)
+
+
+@pytest.mark.parametrize("bad", [-1, 2, 2**31 - 1])
+def test_ids_outside_their_array_are_refused(stages, bad):
+    """A tile list or an order that points nowhere is an error, not a read out of bounds."""
+    splats, bins, workspace = stages
+    ids = bins.splat_ids.copy()
+    ids[-1] = bad
+    with pytest.raises(KernelError, match="index"):
+        wrap.composite(splats, Bins(bins.tile_offsets, ids, bins.tile_size), PARAMS, workspace)
+    with pytest.raises(KernelError, match="index"):
+        wrap.bin(splats, np.array([0, bad], np.int32), workspace)
+
+
+@pytest.mark.parametrize("size", [1, 5, 16, 17, 64])
+def test_bins_of_any_tile_size_are_composited(stages, size):
+    """A third party's tiles need not be 16 px."""
+    splats, _, workspace = stages
+    bins = reference.bin(splats, reference.sort(splats), tile_size=size)
+    want = reference.composite(splats, bins, PARAMS)
+    got = wrap.composite(splats, bins, PARAMS, workspace)
+    np.testing.assert_allclose(got.rgb, want.rgb, atol=1e-5)
+
+
+def test_falling_offsets_are_refused(stages):
+    """Offsets that fall or do not start at 0 are an error."""
+    splats, bins, workspace = stages
+    offsets = bins.tile_offsets.copy()
+    offsets[0] = 1
+    with pytest.raises(KernelError, match="start at 0"):
+        wrap.composite(splats, Bins(offsets, bins.splat_ids, 16), PARAMS, workspace)
+
+
+def test_a_steady_view_allocates_no_buffers():
+    """After the first frame the workspace neither grows nor moves."""
+    workspace = Workspace(2)
+    scene, camera = (
+        gaussians(np.random.default_rng(0).normal((0, 0, 5), 1, (500, 3))),
+        straight(),
+    )
+
+    def frame():
+        splats = wrap.project(scene, camera, PARAMS, workspace)
+        bins = wrap.bin(splats, wrap.sort(splats, workspace), workspace)
+        return wrap.composite(splats, bins, PARAMS, workspace).rgb.ctypes.data, workspace.nbytes
+
+    assert frame() == frame()

@@ -1,0 +1,151 @@
+"""Camera files: tsplat's own and INRIA's."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.io.realdata import DATA, needs_data
+from tsplat.core.camera import Camera, look_at
+from tsplat.core.errors import CameraError
+from tsplat.io import load_cameras
+from tsplat.io.cameras import camera_from_json, camera_to_json, load_camera, parse_camera_spec
+
+CAMERA = look_at([1, 2, -5], [0.25, 0, 0.5], [0, -1, 0.1], 47.0, 64, 48, 0.5, 99.0)
+OWN = camera_to_json(CAMERA)
+INRIA = {
+    "id": 0, "img_name": "a", "width": 40, "height": 20, "position": [1, 2, 3],
+    "rotation": [[0, 0, 1], [1, 0, 0], [0, 1, 0]], "fx": 30.0, "fy": 31,
+}  # fmt: skip
+
+
+def same(a: Camera, b: Camera) -> bool:
+    sizes = ("width", "height", "near", "far")
+    return (
+        np.array_equal(a.viewmat, b.viewmat)
+        and np.array_equal(a.K, b.K)
+        and all(getattr(a, s) == getattr(b, s) for s in sizes)
+    )
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3), st.floats(1, 179))
+def test_own_format_keeps_every_bit(eye, fov):
+    """Written and read again, a camera is the same to the last bit."""
+    camera = look_at(np.add(eye, [0, 0, 3e6]), eye, [0, -1, 0], fov, 31, 17)
+    assert same(camera_from_json(json.loads(json.dumps(camera_to_json(camera)))), camera)
+
+
+def test_one_object_or_a_list(tmp_path):
+    """A file may hold one camera or a list of them; near and far may be left out."""
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(OWN))
+    assert [same(c, CAMERA) for c in load_cameras(path)] == [True]
+    short = {k: v for k, v in OWN.items() if k not in ("near", "far")}
+    path.write_text("\ufeff" + json.dumps([OWN, short]))
+    assert [c.near for c in load_cameras(path)] == [0.5, 0.01]
+
+
+def test_inria_position_is_the_centre_and_rotation_camera_to_world():
+    """The camera's axes in the world are the columns of rotation; the centre is position."""
+    camera = camera_from_json(INRIA)
+    np.testing.assert_allclose(camera.centre, [1, 2, 3], atol=1e-12)
+    axis_in_world = np.array(INRIA["rotation"])[:, 2]
+    np.testing.assert_allclose(camera.rotation @ axis_in_world, [0, 0, 1])
+    ahead = camera.viewmat @ [*(np.array([1, 2, 3]) + 5 * axis_in_world), 1]
+    np.testing.assert_allclose(ahead, [0, 0, 5, 1], atol=1e-12)
+    assert camera.K.tolist() == [[30, 0, 20], [0, 31, 10], [0, 0, 1]]
+
+
+@needs_data
+def test_a_real_cameras_json():
+    """The 97 cameras of a published scene load; centres are the positions in the file."""
+    path = DATA / "snowmiku" / "cameras.json"
+    cameras = load_cameras(path)
+    entries = json.loads(path.read_text())
+    assert len(cameras) == len(entries) == 97
+    for camera, entry in zip(cameras, entries, strict=True):
+        np.testing.assert_allclose(camera.centre, entry["position"], atol=1e-9)
+        assert camera.K[0, 0] == entry["fx"]
+
+
+@pytest.mark.parametrize(
+    ("spec", "expected"),
+    [("a.json#0", ("a.json", 0)), ("a#b.json#12", ("a#b.json", 12)), ("a.json", ("a.json", 0))],
+)
+def test_camera_spec(spec, expected):
+    """FILE#INDEX is split at the last #; a FILE alone is its first camera."""
+    assert parse_camera_spec(spec) == expected
+
+
+@pytest.mark.parametrize("spec", ["#1", "a#", "a#-1", "a#x", "a#1.0", "", "a#²", "a#" + "9" * 99])
+def test_bad_camera_spec(spec):
+    """Anything but a whole number is refused with an example."""
+    with pytest.raises(CameraError, match=r"expected FILE#INDEX .* such as cameras.json#0"):
+        parse_camera_spec(spec)
+
+
+def test_index_out_of_range(tmp_path):
+    """An index past the end is told how many cameras there are."""
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps([OWN, INRIA]))
+    assert load_camera(f"{path}#1").width == 40
+    with pytest.raises(CameraError, match="no camera 2; it has 2, #0 to #1"):
+        load_camera(f"{path}#2")
+
+
+BAD = {
+    "": "not a JSON file",
+    "[": "not a JSON file",
+    "[" * 100_000: "not a JSON file",
+    "[]": "an empty list",
+    "[3]": "camera 0: expected an object, got int",
+    "null": "camera 0: expected an object, got NoneType",
+    json.dumps([OWN, {}]): "camera 1: lacks width, height, viewmat, K; expected .* or INRIA's",
+    json.dumps(INRIA | {"fx": "30"}): "fx: expected a number, got '30'",
+    json.dumps({k: v for k, v in INRIA.items() if k != "fx"}): "lacks fx",
+    json.dumps(INRIA | {"rotation": [1, 2, 3]}): "rotation: expected 3 x 3 numbers",
+    json.dumps(INRIA | {"rotation": [[2, 0, 0], [0, 2, 0], [0, 0, 2]]}): "orthonormal",
+    json.dumps(INRIA | {"position": [1, 2]}): "position: expected 3 numbers",
+    json.dumps(INRIA | {"position": [1, 2, True]}): "position: expected 3 numbers",
+    json.dumps(INRIA | {"position": [1, 2, 10**400]}): "within the range of float64",
+    json.dumps(INRIA | {"width": 1.5}): "width: expected a whole number, got 1.5",
+    json.dumps(INRIA | {"width": True}): "width: expected a whole number",
+    json.dumps(INRIA | {"width": "\x1b[2J"}): "width: expected a whole number",
+    json.dumps(INRIA | {"width": 0}): "expected a size from 1x1",
+    json.dumps(INRIA | {"width": 10**9, "height": 10**9}): "expected a size from 1x1",
+    json.dumps(INRIA | {"fx": float("nan")}): "has NaN, which is not JSON",
+    json.dumps(OWN | {"far": float("inf")}): "has Infinity, which is not JSON",
+    json.dumps(OWN | {"near": -1}): "expected 0 < near < far",
+    json.dumps(OWN | {"fx": 1e999}): "has Infinity",
+    '{"width": 1e999}': "lacks height",
+    json.dumps(INRIA).replace("40", "1e999"): "width: expected a whole number, got inf",
+}
+
+
+@pytest.mark.parametrize("text", BAD, ids=lambda t: t[:40])
+def test_bad_camera_files(tmp_path, text):
+    """One printable line: the file, the camera's index, what was expected, what came."""
+    path = tmp_path / "c.json"
+    path.write_text(text)
+    with pytest.raises(CameraError, match=BAD[text]) as caught:
+        load_cameras(path)
+    assert str(caught.value).isprintable()
+
+
+def test_camera_files_that_are_none(tmp_path, monkeypatch):
+    """Missing, a directory, not UTF-8 and too large are told apart."""
+    with pytest.raises(CameraError, match="no such file"):
+        load_cameras(tmp_path / "none.json")
+    with pytest.raises(CameraError, match="is a directory"):
+        load_cameras(tmp_path)
+    path = tmp_path / "c.json"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(CameraError, match="not a JSON file"):
+        load_cameras(path)
+    monkeypatch.setattr("tsplat.io.cameras.SIZE_MAX", 2)
+    with pytest.raises(CameraError, match="more than 2 bytes, too large"):
+        load_cameras(path)

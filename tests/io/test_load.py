@@ -1,0 +1,164 @@
+"""load_scene beyond PLY: which reader reads, and what foreign files are told."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import tsplat.io
+from tests.io.plywriter import raw_columns, write_ply
+from tsplat import plugins
+from tsplat.core.errors import SceneError
+from tsplat.io import load_scene, progress, scene_from_arrays
+from tsplat.io.base import Reader
+
+
+def sog() -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("meta.json", "{}")
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("a.spz", gzip.compress(b"NGSP" + bytes(40)), "SPZ files are not read yet; convert to PLY"),
+        ("a.spz", b"NGSP" + bytes(40), "SPZ files are not read yet"),
+        ("a.bin", gzip.compress(b"something"), "gzip-compressed file; unpack it"),
+        ("a.sog", sog(), "SOG files are not read yet"),
+        ("meta.json", b'{"means": {}}', "SOG files are not read yet"),
+        ("a.zip", b"PK\x03\x04" + bytes(30), "zip archive"),
+        ("a.splat", bytes(64), ".splat files are not read yet"),
+        ("a.splat", bytes(63), "unknown format"),
+        ("a.ksplat", bytes(99), "ksplat files are not read yet"),
+        ("a.glb", b"glTF" + bytes(9), "glTF files are not read yet; export the splats as PLY"),
+        ("a.gltf", b'{"asset": {}}', "glTF files are not read yet"),
+        ("a.ply", b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        ("a.ply", b"\n<!DOCTYPE html>", "web page"),
+        ("a.txt", b"hello", "unknown format"),
+    ],
+)
+def test_foreign_files_are_named(tmp_path, name, content, expected):
+    """Formats that are not read are told apart by their bytes, each with what to do."""
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert expected in str(caught.value)
+    assert "formats read: " in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def _reader(name, recognises, read) -> Reader:
+    return Reader(name=name, summary="", recognises=recognises, load=lambda: read)
+
+
+@pytest.fixture
+def with_reader(monkeypatch):
+    """Installs one more reader."""
+
+    def install(reader: Reader) -> None:
+        registry = plugins.find_plugins()
+        registry.readers[reader.name] = reader
+        monkeypatch.setattr(plugins, "plugins", lambda: registry)
+
+    return install
+
+
+def test_a_plugins_reader_reads_what_it_recognises(tmp_path, with_reader):
+    """A third-party row is asked with the file's first bytes and reads the file."""
+    seen = []
+
+    def recognises(start: bytes) -> bool:
+        seen.append(start)
+        return start.startswith(b"XYZ")
+
+    def read(path, options):
+        numbers = [float(n) for n in path.read_bytes()[3:].split()]
+        return scene_from_arrays([numbers], [[1, 0, 0, 0]], [[1, 1, 1]], [1], [[0, 0, 0]])
+
+    with_reader(_reader("xyz", recognises, read))
+    path = tmp_path / "a.xyz"
+    path.write_bytes(b"XYZ 1 2 3" + b" " * 9000)
+    assert load_scene(path).means.tolist() == [[1, 2, 3]]
+    assert [len(s) for s in seen] == [4096]
+
+
+def test_a_reader_that_fails_to_answer_is_reported(tmp_path, with_reader):
+    """An exception in ``recognises`` costs that reader its turn and is named."""
+    with_reader(_reader("bad", lambda start: 1 / 0, None))
+    assert len(load_scene(write_ply(tmp_path / "a.ply", raw_columns(1, 0)))) == 1
+    (tmp_path / "a.txt").write_text("hello")
+    with pytest.raises(SceneError, match="reader 'bad' failed: division by zero"):
+        load_scene(tmp_path / "a.txt")
+
+
+def test_a_reader_without_memory_says_what_to_do(tmp_path, with_reader):
+    """MemoryError becomes a line that names the setting that helps."""
+
+    def read(path, options):
+        raise MemoryError
+
+    with_reader(_reader("big", lambda start: start == b"big", read))
+    (tmp_path / "a").write_text("big")
+    with pytest.raises(SceneError, match=r"not enough memory .*\(--max-splats\)"):
+        load_scene(tmp_path / "a")
+
+
+def test_importing_costs_nothing_heavy():
+    """tsplat.io and the row of its PLY reader import neither plyfile, rich nor Pillow."""
+    code = (
+        "import sys, tsplat.io, tsplat.io.ply; tsplat.io.ply.tsplat_readers();"
+        "print([m for m in ('plyfile', 'rich', 'PIL', 'pluggy._tracing') if m in sys.modules])"
+    )
+    root = Path(tsplat.io.__file__).parents[2]
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root
+    )
+    assert json.loads(run.stdout.replace("'", '"')) in ([], ["pluggy._tracing"])
+
+
+class FakeTerminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_shown_late_and_on_a_terminal_only(monkeypatch):
+    """Nothing in a pipe, nothing before the delay; a bar with the label after it."""
+    pipe = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", pipe)
+    with progress.progress_bar("a.ply", delay=0) as show:
+        show(1, 2)
+    assert pipe.getvalue() == ""
+    terminal = FakeTerminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with progress.progress_bar("a.ply", delay=60) as show:
+        show(1, 2)
+    assert terminal.getvalue() == ""
+    monkeypatch.setenv("TERM", "xterm")
+    with progress.progress_bar("[red]a\x1b[2J.ply", delay=0) as show:
+        show(1, 2)
+        show(2, 2)
+    assert "[red]a" in terminal.getvalue()
+    assert "a\x1b[2J.ply" not in terminal.getvalue()
+
+
+def test_progress_ends_with_an_exception(monkeypatch):
+    """The bar is taken down when loading fails, and the exception passes."""
+    monkeypatch.setattr(sys, "stderr", FakeTerminal())
+
+    def fail() -> None:
+        with progress.progress_bar("a", delay=0) as show:
+            show(0, 1)
+            raise SceneError("x")
+
+    with pytest.raises(SceneError, match="x"):
+        fail()

@@ -1,0 +1,49 @@
+"""iTerm2's bytes hold a JPEG of the frame at its own size."""
+
+import decoders
+import pytest
+from pictures import frame_of, photo, psnr
+
+from tsplat.presenters.base import Terminal
+from tsplat.presenters.iterm2 import ITERM2
+
+ROOM = Terminal(columns=400, rows=100, iterm2=True)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (7, 5), (640, 360)])
+def test_jpeg_of_the_same_size(width, height):
+    """A JPEG of the frame's size, shown pixel for pixel; its length is declared (VS Code)."""
+    image = photo(width, height)
+    keys, form, pixels = decoders.iterm2(ITERM2.encode(frame_of(image), ROOM, None))
+    assert form == "JPEG"
+    assert (keys["width"], keys["height"]) == (f"{width}px", f"{height}px")
+    assert (keys["inline"], keys["doNotMoveCursor"]) == ("1", "1")
+    assert pixels.shape == image.shape
+
+
+def test_quality():
+    """Quality 90 keeps a photo-like frame at 32 dB or more, in a tenth of its raw size."""
+    image = photo()
+    data = ITERM2.encode(frame_of(image), ROOM, None)
+    assert psnr(decoders.iterm2(data)[2], image) > 32
+    assert len(data) < image.size / 10
+
+
+def test_an_unchanged_picture_costs_nothing():
+    """Frames equal at 8 bits send nothing."""
+    image = photo(20, 10)
+    assert ITERM2.encode(frame_of(image), ROOM, frame_of(image)) == b""
+
+
+@pytest.mark.parametrize(
+    ("terminal", "reason"),
+    [
+        (Terminal(), "OSC 1337"),
+        (Terminal(iterm2=True, multiplexer="tmux"), "tmux"),
+        (Terminal(iterm2=True, tty=False), "not a terminal"),
+    ],
+)
+def test_unsupported_says_why(terminal, reason):
+    """Only a terminal known to take such pictures, with nothing in between, gets them."""
+    assert reason in ITERM2.unsupported(terminal)
+    assert ITERM2.unsupported(ROOM) is None

@@ -1,0 +1,73 @@
+"""kitty's bytes, decoded again, are the frame."""
+
+import re
+
+import decoders
+import numpy as np
+import pytest
+from pictures import frame_of, photo
+
+from tsplat.presenters.base import Terminal
+from tsplat.presenters.kitty import KITTY
+
+ROOM = Terminal(columns=400, rows=100, kitty=True)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (3, 7), (64, 36), (255, 129)])
+def test_pixels_arrive_exactly(width, height):
+    """The decoded picture is the frame's 8-bit one, whatever its size."""
+    image = photo(width, height)
+    [(keys, payload)] = decoders.kitty(KITTY.encode(frame_of(image), ROOM, None))
+    np.testing.assert_array_equal(decoders.kitty_picture(keys, payload), image)
+
+
+def test_keys_replace_in_place_and_stay_silent():
+    """One image and one placement id for all frames, cursor kept (C=1), no answers (q=2)."""
+    ids = set()
+    for seed in (1, 2):
+        [(keys, _)] = decoders.kitty(KITTY.encode(frame_of(photo(8, 8, seed)), ROOM, None))
+        assert (keys["a"], keys["C"], keys["q"]) == ("T", "1", "2")
+        ids.add((keys["i"], keys["p"]))
+    [(image_id, _)] = ids
+    assert 0 < int(image_id) < 1 << 31
+
+
+def test_chunks_are_short_and_the_first_has_data():
+    """No base64 chunk is over 4096 bytes, the first is not empty; the decoder asserts both."""
+    data = KITTY.encode(frame_of(photo(200, 100)), ROOM, None)
+    chunks = re.findall(rb"m=([01]);([^\x1b]*)", data)
+    assert len(chunks) > 2
+    assert [more for more, _ in chunks] == [b"1"] * (len(chunks) - 1) + [b"0"]
+    assert all(len(body) == 4096 for _, body in chunks[:-1])
+
+
+def test_an_unchanged_picture_costs_nothing():
+    """Frames equal at 8 bits send nothing; another size or pixel sends all."""
+    image = photo(20, 10)
+    frame = frame_of(image)
+    assert KITTY.encode(frame, ROOM, frame_of(image)) == b""
+    other = image.copy()
+    other[3, 3, 1] ^= 1
+    assert KITTY.encode(frame, ROOM, frame_of(other)) != b""
+    assert KITTY.encode(frame, ROOM, frame_of(image[:-1])) != b""
+
+
+def test_clear_deletes_that_image_and_its_data():
+    """Clear is d=I with the id that encode uses."""
+    [(sent, _)] = decoders.kitty(KITTY.encode(frame_of(photo(2, 2)), ROOM, None))
+    [(keys, _)] = decoders.kitty(KITTY.clear(ROOM))
+    assert (keys["a"], keys["d"], keys["i"]) == ("d", "I", sent["i"])
+
+
+@pytest.mark.parametrize(
+    ("terminal", "reason"),
+    [
+        (Terminal(), "query"),
+        (Terminal(kitty=True, multiplexer="tmux"), "tmux"),
+        (Terminal(kitty=True, tty=False), "not a terminal"),
+    ],
+)
+def test_unsupported_says_why(terminal, reason):
+    """Only a terminal that answered, with nothing in between, is sent pictures."""
+    assert reason in KITTY.unsupported(terminal)
+    assert KITTY.unsupported(ROOM) is None

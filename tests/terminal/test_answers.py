@@ -1,0 +1,238 @@
+"""Facts from recorded answers.
+
+Each row holds what a terminal of that version sent back when asked (90x30 cells), in the order
+asked, without what it did not answer. tmux 3.3a ran inside kitty, 3.8 inside foot.
+"""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tsplat.presenters.base import Terminal
+from tsplat.terminal.answers import (
+    QUESTIONS,
+    parse_answers,
+    resized,
+    split_answers,
+)
+
+TRUECOLOR = 1 << 24
+WINSIZE = 30, 90, 900, 570
+XTERM = {"TERM": "xterm"}
+COLOR = {"COLORTERM": "truecolor"}
+XTERM256 = {"TERM": "xterm-256color", **COLOR}
+
+OK = b"\x1b_Gi=31;OK\x1b\\"
+SYNC, NO_SYNC = b"\x1b[?2026;2$y", b"\x1b[?2026;0$y"
+PIXELS = b"\x1b[4;570;900t\x1b[6;19;10t"
+KEPT = b"\x1bP1$r0;48:2::1:2:3m\x1b\\"
+
+
+def version(text):
+    return b"\x1bP>|" + text + b"\x1b\\"
+
+
+KITTY26 = (
+    OK + version(b"kitty(0.26.5)") + SYNC + PIXELS
+    + b"\x1bP0+r524742\x1b\\\x1bP0+r5463\x1b\\\x1bP1$r48:2:1:2:3m\x1b\\\x1b[?62;c"
+)  # fmt: skip
+KITTY48 = (
+    OK + version(b"kitty(0.48.2)") + SYNC + PIXELS
+    + b"\x1bP0+r524742\x1b\\\x1bP1+r5463\x1b\\\x1bP1$r0;48:2:1:2:3m\x1b\\\x1b[?62;52;c"
+)  # fmt: skip
+KONSOLE = (
+    b"\x1b[?1;0;256S\x1b[?2;0;16384;16384S\x1b]1337;ReportCellSize=19.0;10.0;1.0\x07\x1b[?62;1;4c"
+)
+KONSOLE22 = OK + version(b"Konsole 22.12.3") + PIXELS + KONSOLE
+KONSOLE26 = OK + version(b"Konsole 26.08.2") + PIXELS + KONSOLE
+XTERM_PLAIN = (
+    version(b"XTerm(379)") + NO_SYNC + PIXELS + b"\x1b[?1;3S\x1b[?2;3S" + KEPT
+    + b"\x1b[?64;1;2;6;9;15;16;17;18;21;22;28c"
+)  # fmt: skip
+XTERM_VT340 = (
+    version(b"XTerm(379)") + NO_SYNC + PIXELS + b"\x1b[?1;0;1024S\x1b[?2;0;1000;1000S" + KEPT
+    + b"\x1b[?63;1;2;4;6;9;15;16;22;28c"
+)  # fmt: skip
+MLTERM = (
+    NO_SYNC + PIXELS + b"\x1b[?1;0;1024S\x1b[?1;3;0S\x1bP0+r\x1b\\\x1bP0+r\x1b\\"
+    b"\x1bP1$r0;48;5;16m\x1b\\\x1b[?63;1;2;3;4;6;7;15;18;22;29c"
+)
+FOOT13 = (
+    version(b"foot(1.13.1)") + SYNC + b"\x1b[4;600;900t\x1b[6;20;10t"
+    b"\x1b[?1;0;1024S\x1b[?2;0;10000;10000S\x1bP1+r524742=38\x1b\\\x1bP1+r5463\x1b\\"
+    + KEPT + b"\x1b[?62;4;22c"
+)  # fmt: skip
+XTERM_JS = (
+    SYNC + b"\x1b[4;570;867t\x1b[6;19;10t\x1b[?1;0;256S\x1b[?2;0;4096;4096S"
+    b"\x1bP1$r0m\x1b\\\x1b[?62;4;9;22c"
+)
+XTERM_JS_BETA = (
+    OK + version(b"xterm.js(6.1.0-beta.304)") + SYNC + b"\x1b[4;570;867t\x1b[6;19;10t"
+    b"\x1b[?1;0;4096S\x1b[?2;0;4096;4096S\x1b]1337;ReportCellSize=19.000;9.633;1.000\x1b\\"
+    b"\x1bP1$r0m\x1b\\\x1b[?62;4;9;22c"
+)
+TMUX33 = version(b"tmux 3.3a") + b"\x1b[?1;2c"
+TMUX38 = (
+    version(b"tmux 3.8") + SYNC + b"\x1b[4;460;800t\x1b[6;20;10t\x1b[?1;0;1024S\x1b[?2;3;0S"
+    b"\x1bP0$r\x1b\\\x1b[?1;2;4c"
+)
+TMUX = {"TERM": "tmux-256color", "TERM_PROGRAM": "tmux", "TMUX": "/tmp/tmux,1,0", **COLOR}
+
+# name: answers, environment, TIOCGWINSZ, and what to make of them
+RECORDED = {
+    "kitty 0.26": (KITTY26, {"TERM": "xterm-kitty", **COLOR}, WINSIZE, Terminal(
+        90, 30, 10, 19, kitty=True, synchronized=True, name="kitty(0.26.5)")),
+    "kitty 0.48": (KITTY48, {"TERM": "xterm-kitty"}, WINSIZE, Terminal(
+        90, 30, 10, 19, kitty=True, synchronized=True, name="kitty(0.48.2)")),
+    "konsole 22": (KONSOLE22, XTERM256, WINSIZE, Terminal(
+        90, 30, 10, 19, kitty=True, iterm2=True, sixel=True, sixel_max=(16384, 16384),
+        name="Konsole 22.12.3")),
+    "konsole 26": (KONSOLE26, XTERM256, (30, 90, 904, 570), Terminal(
+        90, 30, 10, 19, kitty=True, iterm2=True, sixel=True, sixel_max=(16384, 16384),
+        name="Konsole 26.08.2")),
+    "xterm": (XTERM_PLAIN, XTERM, WINSIZE, Terminal(90, 30, 10, 19, name="XTerm(379)")),
+    "xterm vt340": (XTERM_VT340, XTERM, WINSIZE, Terminal(
+        90, 30, 10, 19, sixel=True, sixel_registers=1024, sixel_max=(1000, 1000),
+        name="XTerm(379)")),
+    "mlterm 3.9.0": (MLTERM, {"TERM": "mlterm"}, WINSIZE, Terminal(
+        90, 30, 10, 19, colors=256, iterm2=True, sixel=True, sixel_registers=1024,
+        name="mlterm")),
+    "mlterm 3.9.4": (version(b"mlterm(3.9.4)") + MLTERM, {"TERM": "mlterm", **COLOR}, WINSIZE,
+        Terminal(90, 30, 10, 19, iterm2=True, sixel=True, sixel_registers=1024,
+                 name="mlterm(3.9.4)")),
+    "foot 1.13": (FOOT13, {"TERM": "foot"}, (30, 90, 900, 600), Terminal(
+        90, 30, 10, 20, sixel=True, sixel_registers=1024, sixel_max=(10000, 10000),
+        synchronized=True, name="foot(1.13.1)")),
+    "xterm.js 6.0": (XTERM_JS, XTERM256, (30, 90, 867, 570), Terminal(
+        90, 30, 867 / 90, 19, sixel=True, sixel_max=(4096, 4096), synchronized=True)),
+    "xterm.js 6.0, no pixels": (XTERM_JS, XTERM256, (30, 90, 0, 0), Terminal(
+        90, 30, 867 / 90, 19, sixel=True, sixel_max=(4096, 4096), synchronized=True)),
+    "xterm.js 6.1 beta": (XTERM_JS_BETA, XTERM256, (30, 90, 867, 570), Terminal(
+        90, 30, 867 / 90, 19, kitty=True, iterm2=True, sixel=True, sixel_registers=4096,
+        sixel_max=(4096, 4096), synchronized=True, name="xterm.js(6.1.0-beta.304)")),
+    "tmux 3.3a": (TMUX33, TMUX, (23, 80, 800, 437), Terminal(
+        80, 23, 10, 19, name="tmux 3.3a", multiplexer="tmux")),
+    "tmux 3.8": (TMUX38, TMUX, (23, 80, 800, 460), Terminal(
+        80, 23, 10, 20, sixel=True, sixel_registers=1024, synchronized=True, name="tmux 3.8",
+        multiplexer="tmux")),
+    "ghostty-web": (b"", XTERM256, (30, 90, 0, 0), Terminal(90, 30)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_recorded_answers(name):
+    """Every fact of each recorded terminal; foot, kitty and xterm need no COLORTERM for 24 bits."""
+    answers, environ, winsize, expected = RECORDED[name]
+    assert parse_answers(answers, environ, winsize) == expected
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_typed_text_is_what_is_left(name):
+    """Keys pressed before and after the answers are kept, and nothing else is."""
+    answers = RECORDED[name][0]
+    assert split_answers(b"q" + answers + b"\x1b[A") == (answers, b"q\x1b[A")
+
+
+@pytest.mark.parametrize(
+    ("answers", "environ", "colors"),
+    [
+        (b"", {"TERM": "xterm", "COLORTERM": "truecolor", "NO_COLOR": "1"}, 2),
+        (b"", {"TERM": "xterm", "COLORTERM": "24bit", "NO_COLOR": ""}, TRUECOLOR),
+        (b"", {"TERM": "linux", "COLORTERM": "truecolor"}, 16),
+        (b"", {"TERM": "vt220"}, 2),
+        (b"", {"TERM": "xterm"}, 16),
+        (b"", {"TERM": "xterm-256color"}, 256),
+        (b"", {"TERM": "xterm-direct"}, TRUECOLOR),
+        (b"", {"TERM": "screen-256color", "STY": "1.tty", "COLORTERM": "truecolor"}, 256),
+        (b"\x1bP1+r524742=38\x1b\\", {"TERM": "foot"}, TRUECOLOR),
+        (b"\x1bP0+r524742\x1b\\", {"TERM": "xterm"}, 16),
+        (b"\x1bP1$r0;48;2;1;2;3m\x1b\\", {"TERM": "xterm"}, TRUECOLOR),
+        (b"\x1bP1$r0;48;5;16m\x1b\\", {"TERM": "xterm"}, 16),
+        (version(b"WezTerm 20240203"), {"TERM": "xterm-256color"}, TRUECOLOR),
+    ],
+)
+def test_colours(answers, environ, colors):
+    """NO_COLOR first, then what is known to lie, then every way to say 24 bits, then TERM."""
+    assert parse_answers(answers, environ, WINSIZE).colors == colors
+
+
+@pytest.mark.parametrize(
+    ("answers", "environ", "iterm2"),
+    [
+        (b"", {"TERM_PROGRAM": "vscode"}, True),
+        (b"", {"LC_TERMINAL": "iTerm2"}, True),
+        (b"", {"TERM_PROGRAM": "Apple_Terminal"}, False),
+        (version(b"XTerm(379)"), {"TERM_PROGRAM": "vscode"}, False),
+        (version(b"kitty(0.48.2)"), {"LC_TERMINAL": "iTerm2"}, False),
+        (version(b"iTerm2 3.5.11"), {}, True),
+        (version(b"tmux 3.4"), {"LC_TERMINAL": "iTerm2"}, False),
+        (b"", {"TERM": "screen", "LC_TERMINAL": "iTerm2"}, False),
+    ],
+)
+def test_iterm2_is_known_by_name(answers, environ, iterm2):
+    """Its own name beats inherited variables; behind a multiplexer nothing is known."""
+    assert parse_answers(answers, environ, WINSIZE).iterm2 is iterm2
+
+
+@pytest.mark.parametrize(
+    ("answers", "environ", "mux"),
+    [
+        (b"", {"TMUX": "/tmp/x", "TERM": "screen"}, "tmux"),
+        (b"", {"TERM": "screen.xterm-256color"}, "screen"),
+        (b"", {"STY": "123.pts-0", "TERM": "xterm"}, "screen"),
+        (version(b"kitty(0.48.2)"), {"TMUX": "/tmp/x"}, ""),
+        (version(b"tmux 3.8"), {"TERM": "xterm"}, "tmux"),
+    ],
+)
+def test_multiplexer(answers, environ, mux):
+    """By name where there is one, so that a window opened out of tmux is not taken for it."""
+    assert parse_answers(answers, environ, WINSIZE).multiplexer == mux
+
+
+def test_names_are_printable():
+    """A name with control characters cannot get at the terminal again."""
+    terminal = parse_answers(version(b"x\x9b\x07\xff"), {}, WINSIZE)
+    assert terminal.name.isprintable()
+
+
+def test_kitty_must_say_ok():
+    """An error is no support."""
+    answers = b"\x1b_Gi=31;ENOTSUPPORTED:\x1b\\\x1b[?62c"
+    assert not parse_answers(answers, {}, WINSIZE).kitty
+
+
+def test_sizes_without_a_window_size():
+    """No TIOCGWINSZ: COLUMNS and LINES, else 80x24; ReportCellSize in points times scale."""
+    told = parse_answers(b"\x1b]1337;ReportCellSize=17.5;8.0;2.0\x07", {}, (0, 0, 0, 0))
+    assert (told.columns, told.rows, told.cell_width, told.cell_height) == (80, 24, 16, 35)
+    environ = {"COLUMNS": "100", "LINES": "40"}
+    told = parse_answers(b"", environ, (0, 0, 0, 0))
+    assert (told.columns, told.rows, told.cell_width, told.cell_height) == (100, 40, 10, 20)
+
+
+def test_resizing_keeps_the_cell():
+    """The margin that Konsole counts in does not widen cells; another font does."""
+    terminal = parse_answers(KONSOLE26, XTERM256, WINSIZE)
+    wider = resized(terminal, (40, 120, 1204, 760))
+    assert (wider.columns, wider.rows, wider.cell_width, wider.cell_height) == (120, 40, 10, 19)
+    zoomed = resized(terminal, (15, 45, 900, 570))
+    assert (zoomed.cell_width, zoomed.cell_height) == (20, 38)
+    assert resized(terminal, (40, 120, 0, 0)).cell_width == 10
+
+
+def test_questions_end_with_da1():
+    """DA1 comes last, once; no sixel, no picture and no medium but the escape itself is tried."""
+    assert QUESTIONS.endswith(b"\x1b[c")
+    assert QUESTIONS.count(b"\x1b[c") == 1
+    assert b"a=q" in QUESTIONS
+    assert b"t=s" not in QUESTIONS
+
+
+@given(st.binary(max_size=200))
+def test_noise_is_harmless(noise):
+    """Whatever comes, there is a terminal of a positive size."""
+    answers, typed = split_answers(noise)
+    terminal = parse_answers(answers, {}, (0, 0, 0, 0))
+    assert terminal.cell_width > 0
+    assert terminal.columns > 0
+    assert len(answers) + len(typed) == len(noise)

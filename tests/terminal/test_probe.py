@@ -1,0 +1,62 @@
+"""Asking a terminal what it is takes one write, little time, and leaves nothing behind."""
+
+import os
+import time
+
+from fakes import DA1, FakeTerminal
+
+from tsplat.presenters.base import Terminal
+from tsplat.terminal import probe
+from tsplat.terminal.answers import QUESTIONS
+
+ENVIRON = {"TERM": "xterm"}
+
+
+def test_answers_and_typed_text():
+    """Facts on the one hand, what was typed meanwhile on the other; the mode as before."""
+    with FakeTerminal(extra=b"\x1bP>|foot(1.28.0)\x1b\\ls") as terminal:
+        facts, typed = probe(terminal.fd, terminal.fd, ENVIRON)
+        assert (facts.name, facts.sixel, facts.columns) == ("foot(1.28.0)", True, 80)
+        assert typed == b"ls"
+        terminal.settle()
+        assert terminal.output == b"\x1b[?1049h" + QUESTIONS + b"\x1b[?1049l"
+        assert terminal.mode() == terminal.saved
+
+
+def test_a_silent_terminal_costs_150_ms():
+    """No answer: half-blocks, after the time-out and no later."""
+    with FakeTerminal(delay=None) as terminal:
+        begun = time.monotonic()
+        facts, typed = probe(terminal.fd, terminal.fd, ENVIRON)
+        assert 0.1 < time.monotonic() - begun < 0.4
+        assert (facts.kitty, facts.iterm2, facts.sixel) == (False, False, False)
+        assert typed == b""
+        assert terminal.mode() == terminal.saved
+
+
+def test_an_answer_ends_the_wait():
+    """DA1 is the last answer: what comes later is not waited for."""
+    with FakeTerminal() as terminal:
+        begun = time.monotonic()
+        probe(terminal.fd, terminal.fd, ENVIRON, timeout=5)
+        assert time.monotonic() - begun < 1
+
+
+def test_no_terminal_is_not_written_to():
+    """A pipe, or a TERM that is dumb or missing, gets nothing."""
+    read, write = os.pipe()
+    try:
+        assert probe(read, write, ENVIRON) == (Terminal(tty=False), b"")
+    finally:
+        os.close(write)
+        assert os.read(read, 9) == b""
+        os.close(read)
+    with FakeTerminal() as terminal:
+        assert probe(terminal.fd, terminal.fd, {"TERM": "dumb"})[0].tty is False
+        terminal.settle()
+        assert terminal.output == b""
+
+
+def test_the_fake_is_sane():
+    """The fake's DA1 answer lists sixel, as the tests above assume."""
+    assert b";4;" in DA1

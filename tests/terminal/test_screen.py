@@ -1,0 +1,310 @@
+"""A session leaves no trace, however it ends, and frames and events pass as promised."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+from fakes import FakeTerminal
+
+from tsplat.core.errors import TerminalError
+from tsplat.presenters.base import Terminal
+from tsplat.terminal import Event, Screen, screen
+
+ENVIRON = {"TERM": "xterm"}
+# The last is a question: its answer is the last thing to come
+UNDO = b"\x1b[?2026l\x1b\\CLEANUP\x1b[?1006l\x1b[?1002l\x1b[m\x1b[?25h\x1b[?1049l\x1b[c"
+
+SESSION = """
+import sys, time
+from tsplat.terminal import Screen
+with Screen() as screen:
+    screen.cleanup = b"CLEANUP"
+    screen.write(b"READY")
+    {body}
+"""
+
+
+def session(fake, **options):
+    return Screen(fake.fd, fake.fd, ENVIRON, **options)
+
+
+def check_restored(terminal):
+    """The mode is what it was, and the last bytes put the screen right."""
+    terminal.settle()
+    assert terminal.mode() == terminal.saved
+    assert terminal.output.endswith(UNDO)
+
+
+@pytest.mark.parametrize(
+    ("body", "code"), [("pass", 0), ("1 / 0", 1), ("sys.exit(3)", 3)], ids=["end", "error", "exit"]
+)
+def test_restored_at_the_end(body, code):
+    """On a normal end, an exception and sys.exit."""
+    with FakeTerminal() as terminal:
+        process = terminal.spawn(SESSION.format(body=body))
+        errors = process.communicate(timeout=20)[1]
+        assert process.returncode == code, errors
+        assert terminal.output.startswith(b"\x1b[?1049h")
+        assert b"\x1b[?25l\x1b[?1002h\x1b[?1006h" in terminal.output
+        check_restored(terminal)
+
+
+@pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+@pytest.mark.parametrize("body", ["screen.read_events(None)", "time.sleep(0.3); screen.clear()"])
+def test_restored_on_deadly_signals(signum, body):
+    """Waiting or working, the process unwinds, restores, and exits with 128 + signal."""
+    with FakeTerminal() as terminal:
+        process = terminal.spawn(SESSION.format(body=body))
+        terminal.wait_for(b"READY")
+        process.send_signal(signum)
+        errors = process.communicate(timeout=20)[1]
+        assert process.returncode == 128 + signum, errors
+        assert errors == ""
+        check_restored(terminal)
+
+
+def test_a_second_signal_interrupts_work():
+    """The first is noted while the program computes, the second ends it there."""
+    with FakeTerminal() as terminal:
+        process = terminal.spawn(SESSION.format(body="while True: time.sleep(0.01)"))
+        terminal.wait_for(b"READY")
+        process.send_signal(signal.SIGTERM)
+        time.sleep(0.2)
+        assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 143
+        process.stderr.close()
+        check_restored(terminal)
+
+
+def test_a_stuck_terminal_does_not_hold_us():
+    """A write that blocks for good ends at the first signal; the mode is restored all the same."""
+    with FakeTerminal() as terminal:
+        body = "time.sleep(0.3); screen.write(bytes(10**7))"
+        process = terminal.spawn(SESSION.format(body=body))
+        terminal.wait_for(b"READY")
+        terminal.reading.clear()
+        time.sleep(0.6)
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=20)[1] == ""
+        assert process.returncode == 128 + signal.SIGTERM
+        assert terminal.mode() == terminal.saved
+
+
+def test_restored_at_interpreter_exit():
+    """Even when the ``with`` block is never left."""
+    with FakeTerminal() as terminal:
+        code = "from tsplat.terminal import Screen; s = Screen().__enter__(); s.cleanup=b'CLEANUP'"
+        process = terminal.spawn(code)
+        assert process.communicate(timeout=20)[1] == ""
+        check_restored(terminal)
+
+
+def test_hang_up():
+    """When the terminal goes away, so does the program, without a traceback."""
+    with FakeTerminal() as terminal:
+        process = terminal.spawn(SESSION.format(body="while True: screen.read_events(None)"))
+        terminal.wait_for(b"READY")
+        terminal.hang_up()
+        assert process.communicate(timeout=20)[1] == ""
+        assert process.returncode == 128 + signal.SIGHUP
+
+
+SHELL = """
+import os, signal, sys
+from tsplat.terminal import Screen
+signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+job = os.fork()
+if job == 0:
+    os.setpgid(0, 0)
+    os.tcsetpgrp(0, os.getpid())
+    signal.signal(signal.SIGTTOU, signal.SIG_DFL)
+    with Screen() as screen:
+        screen.cleanup = b"CLEANUP"
+        screen.write(b"READY")
+        {body}
+        assert "resize" in [e.kind for e in events]
+        screen.write(b"AGAIN")
+    sys.exit(7)
+assert os.WIFSTOPPED(os.waitpid(job, os.WUNTRACED)[1])
+os.tcsetpgrp(0, os.getpid())
+os.write(1, b"STOPPED")
+sys.stdin.readline()
+os.tcsetpgrp(0, job)
+os.killpg(job, signal.SIGCONT)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(job, 0)[1]))
+"""
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "screen.suspend(); events = screen.read_events(0)",
+        "os.kill(os.getpid(), signal.SIGTSTP); events = screen.read_events(5)",
+    ],
+    ids=["suspend", "SIGTSTP"],
+)
+def test_suspend_gives_the_terminal_back_and_takes_it_again(body):
+    """The shell gets a restored screen; continued, all is ours again and to be redrawn."""
+    with FakeTerminal() as terminal:
+        process = terminal.spawn(SHELL.format(body=body))
+        terminal.wait_for(b"STOPPED")
+        assert terminal.output.endswith(UNDO + b"STOPPED")
+        assert terminal.mode() == terminal.saved
+        terminal.type(b"\n")
+        errors = process.communicate(timeout=20)[1]
+        assert process.returncode == 7, errors
+        after = terminal.output.split(b"STOPPED")[1]
+        assert b"\x1b[?1049h" in after
+        assert after.index(b"\x1b[?1002h") < after.index(b"AGAIN")
+        check_restored(terminal)
+
+
+def test_a_frame_is_one_synchronized_update():
+    """BSU, home, payload, ESU and the status question, in that order; nothing for nothing."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        open_screen.draw(b"")
+        assert not open_screen.busy
+        open_screen.draw(b"PICTURE")
+        assert open_screen.busy
+        assert Event("ready") in open_screen.read_events(2)
+        assert not open_screen.busy
+        terminal.wait_for(b"\x1b[?2026h\x1b[HPICTURE\x1b[?2026l\x1b[5n")
+        open_screen.draw(b"MORE", track=False)
+        assert not open_screen.busy
+
+
+def test_ready_means_the_last_frame():
+    """With two frames under way the first answer is not "ready"."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        open_screen.draw(b"ONE")
+        open_screen.draw(b"TWO")
+        terminal.wait_for(b"TWO")
+        assert open_screen.read_events(2) == [Event("ready")]
+        assert open_screen.read_events(0.1) == []
+
+
+def test_unanswered_frames_are_given_up(monkeypatch):
+    """After a while the next may go; after three in a row the terminal is not asked again."""
+    monkeypatch.setattr(screen, "FRAME_SECONDS", 0.05)
+    with FakeTerminal(reports=False) as terminal, session(terminal) as open_screen:
+        for _ in range(3):
+            open_screen.draw(b"PICTURE")
+            assert open_screen.busy
+            assert open_screen.read_events(2) == [Event("ready")]
+            assert not open_screen.busy
+        open_screen.draw(b"LAST")
+        assert not open_screen.busy
+        assert open_screen.read_events(0) == [Event("ready")]
+        terminal.settle()
+        assert terminal.output.count(b"\x1b[5n") == 3
+
+
+def test_large_frames_arrive_whole():
+    """Also when the terminal reads nothing for a while."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        payload = bytes(range(0x20, 0x7F)) * 4000
+        terminal.reading.clear()
+        threading.Timer(0.2, terminal.reading.set).start()
+        open_screen.write(payload)
+        terminal.settle()
+        assert payload in terminal.output
+
+
+def test_what_was_typed_while_asking_is_read():
+    """Keys that come between the answers are events."""
+    with FakeTerminal(extra=b"q\x1b[A") as terminal, session(terminal) as open_screen:
+        keys = [event.key for event in open_screen.read_events(1)]
+        assert keys == ["q", "up"]
+
+
+def test_facts_come_from_the_answers():
+    """The terminal is asked on entering, unless its facts are given."""
+    name = b"\x1bP>|foot(1.28.0)\x1b\\"
+    with FakeTerminal(extra=name) as terminal, session(terminal) as open_screen:
+        assert open_screen.terminal.name == "foot(1.28.0)"
+        assert open_screen.terminal.sixel
+    with FakeTerminal() as terminal:
+        facts = Terminal(name="given", columns=1, rows=1)
+        with session(terminal, terminal=facts) as open_screen:
+            assert open_screen.terminal.name == "given"
+            assert open_screen.terminal.columns == 80
+            terminal.settle()
+            assert b"\x1b[c" not in terminal.output
+
+
+def test_late_answers_still_count():
+    """A slow line: after 50 ms half-blocks, and what it can do when it has said so."""
+    with FakeTerminal(delay=0.4) as terminal, session(terminal, timeout=0.05) as open_screen:
+        assert not open_screen.terminal.sixel
+        assert open_screen.read_events(3) == [Event("terminal")]
+        assert open_screen.terminal.sixel
+
+
+def test_resize():
+    """SIGWINCH wakes the reader; the facts have the new size."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        terminal.resize(50, 132, 1320, 1000)
+        signal.raise_signal(signal.SIGWINCH)
+        assert open_screen.read_events(2) == [Event("resize")]
+        facts = open_screen.terminal
+        assert (facts.rows, facts.columns, facts.cell_width) == (50, 132, 10)
+
+
+def test_a_lone_escape_is_a_key():
+    """After 50 ms, without any more input."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        terminal.type(b"\x1b")
+        assert open_screen.read_events(2) == [Event("key", "escape")]
+
+
+def test_reading_returns_in_time():
+    """No event: [] after the time given; 0 does not wait."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        begun = time.monotonic()
+        assert open_screen.read_events(0) == []
+        assert open_screen.read_events(0.1) == []
+        assert 0.1 <= time.monotonic() - begun < 0.5
+
+
+def test_kitty_gets_a_nudge():
+    """A window's first picture shows in kitty 0.48 only when something follows a little later."""
+    facts = Terminal(kitty=True)
+    with FakeTerminal() as terminal, session(terminal, terminal=facts) as open_screen:
+        open_screen.draw(b"PICTURE")
+        open_screen.read_events(0.1)
+        open_screen.read_events(0.1)
+        terminal.settle()
+        assert terminal.output.endswith(b"\x1b[5n\x1b[m")
+
+
+def test_handlers_are_given_back():
+    """Signals mean afterwards what they meant before."""
+    signums = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGWINCH, signal.SIGTSTP)
+    before = [signal.getsignal(s) for s in signums]
+    with FakeTerminal() as terminal, session(terminal):
+        assert [signal.getsignal(s) for s in signums] != before
+    assert [signal.getsignal(s) for s in signums] == before
+
+
+@pytest.mark.parametrize("environ", [{}, {"TERM": "dumb"}])
+def test_no_escapes_for_a_dumb_terminal(environ):
+    """Nothing is written, and the error says what was expected."""
+    with FakeTerminal() as terminal:
+        with (
+            pytest.raises(TerminalError, match="expected a terminal"),
+            Screen(terminal.fd, terminal.fd, environ),
+        ):
+            pass
+        terminal.settle()
+        assert terminal.output == b""
+
+
+def test_a_pipe_is_no_terminal():
+    """Output into a file or pipe is an error on entering."""
+    null = os.open(os.devnull, os.O_RDWR)
+    with pytest.raises(TerminalError, match="a pipe or file"):
+        Screen(null, null, ENVIRON).__enter__()
+    os.close(null)

@@ -1,0 +1,190 @@
+"""The kernels as stages: check arrays, lend buffers, spread the work, turn faults into errors."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from tsplat.backends.numba_kernels import composite as pixels
+from tsplat.backends.numba_kernels import order as lists
+from tsplat.backends.numba_kernels import project as geometry
+from tsplat.backends.numba_kernels.jit import spread
+from tsplat.core.camera import Camera
+from tsplat.core.constants import ALPHA_FLOOR, CLAMP_MARGIN
+from tsplat.core.errors import KernelError, check_array
+from tsplat.core.params import RenderParams
+from tsplat.core.types import F64, I32, Bins, Frame, Scene, Splats
+from tsplat.core.workspace import Workspace
+
+TILE_SIZE_MAX = 64
+"""px; wider tiles would only repeat the test of every splat for more patches."""
+
+_SPLAT_ARRAYS: tuple[tuple[str, tuple[int, ...], type], ...] = (
+    ("means2d", (2,), np.float32),
+    ("factors", (3,), np.float32),
+    ("depths", (), np.float32),
+    ("opacities", (), np.float32),
+    ("colors", (3,), np.float32),
+    ("radii", (2,), np.float32),
+    ("gaussian_ids", (), np.int32),
+)
+_FEW = 1 << 14  # rows that are not worth a second thread
+
+
+def _check(splats: Splats) -> None:
+    for name, shape, dtype in _SPLAT_ARRAYS:
+        check_array(f"Splats.{name}", getattr(splats, name), dtype, (len(splats), *shape))
+    if splats.width < 1 or splats.height < 1:
+        raise KernelError(f"Splats: expected a picture, got {splats.width}x{splats.height}")
+
+
+def _runs(count: int, pieces: int) -> list[tuple[int, int]]:
+    """``count`` rows in ``pieces`` runs of nearly equal length."""
+    return list(pairwise(count * i // pieces for i in range(pieces + 1)))
+
+
+def _view(camera: Camera, scene: Scene) -> F64:
+    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+    width, height = camera.width, camera.height
+    margin_x, margin_y = CLAMP_MARGIN * width / (2 * fx), CLAMP_MARGIN * height / (2 * fy)
+    return np.array([
+        *camera.rotation.ravel(), *(camera.centre - scene.origin), fx, fy, cx, cy,
+        camera.near, camera.far,
+        -cx / fx - margin_x, (width - cx) / fx + margin_x,
+        -cy / fy - margin_y, (height - cy) / fy + margin_y,
+        width, height,
+    ], np.float64)  # fmt: skip
+
+
+def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Workspace) -> Splats:
+    """See :class:`tsplat.core.stages.Project`."""
+    n, threads = len(scene), workspace.threads
+    chunks = -(-n // geometry.CHUNK)
+    scratch = workspace.array("numba.project", (n, geometry.RECORD), np.float32)
+    scratch_ids = scratch.view(np.int32)
+    counts = workspace.array("numba.chunks", (chunks,), np.int32)
+    view, threshold = _view(camera, scene), max(params.alpha_threshold, ALPHA_FLOOR)
+    degree = min(params.sh_degree, scene.sh_degree)
+    runs = _runs(chunks, min(chunks, 4 * threads)) if chunks else []
+    overflowed = spread(
+        threads, len(runs),
+        lambda i: geometry.project_chunks(
+            *runs[i], scene.means, scene.quats, scene.scales, scene.opacities, scene.sh, view,
+            degree, params.antialias, threshold, scratch, scratch_ids, counts,
+        ),
+    )  # fmt: skip
+    ends = np.cumsum(counts, dtype=np.int64)
+    starts, m = ends - counts, int(ends[-1]) if chunks else 0
+    arrays = {
+        name: workspace.array(f"numba.{name}", (m, *shape), dtype)
+        for name, shape, dtype in _SPLAT_ARRAYS
+    }
+    spread(
+        threads, len(runs),
+        lambda i: geometry.gather_chunks(
+            *runs[i], scratch, scratch_ids, counts, starts, *arrays.values()
+        ),
+    )  # fmt: skip
+    return Splats(
+        **arrays, width=camera.width, height=camera.height, overflowed=sum(overflowed)
+    )
+
+
+def sort(splats: Splats, workspace: Workspace) -> I32:
+    """See :class:`tsplat.core.stages.Sort`."""
+    m = len(splats)
+    depths = check_array("Splats.depths", splats.depths, np.float32, (m,))
+    threads = workspace.threads if m > _FEW else 1
+    runs, bits = _runs(m, threads), depths.view(np.uint32)
+    order: I32 = workspace.array("numba.order", (m,), np.int32)
+    pairs, spare = workspace.array("numba.pairs", (2, m), np.uint64)
+    histograms = workspace.array("numba.histograms", (threads, lists.RADIX), np.int64)
+    spread(threads, threads, lambda i: lists.make_pairs(*runs[i], bits, pairs))
+    for shift in lists.SHIFTS:
+        spread(
+            threads, threads,
+            lambda i, pairs=pairs, shift=shift: lists.count_digits(
+                *runs[i], pairs, shift, histograms[i]
+            ),
+        )  # fmt: skip
+        if lists.first_places(histograms) == m:
+            continue  # one digit for all: nothing to do
+        spread(
+            threads, threads,
+            lambda i, pairs=pairs, shift=shift, spare=spare: lists.place_pairs(
+                *runs[i], pairs, shift, histograms[i], spare
+            ),
+        )  # fmt: skip
+        pairs, spare = spare, pairs
+    spread(threads, threads, lambda i: lists.take_rows(*runs[i], pairs, order))
+    return order
+
+
+def bin(splats: Splats, order: I32, workspace: Workspace) -> Bins:
+    """See :class:`tsplat.core.stages.Bin`."""
+    _check(splats)
+    m, size = len(splats), lists.TILE
+    check_array("order", order, np.int32, (m,))
+    threads = workspace.threads if m > _FEW else 1
+    runs, width, height = _runs(m, threads), splats.width, splats.height
+    across, down = -(-width // size), -(-height // size)
+    boxes = workspace.array("numba.boxes", (m, 4), np.int32)
+    slots = workspace.array("numba.slots", (threads, across * down), np.int64)
+    offsets = workspace.array("numba.offsets", (across * down + 1,), np.int64)
+    good = spread(
+        threads, threads,
+        lambda i: lists.count_tiles(
+            *runs[i], order, splats.means2d, splats.radii, width, height, boxes, slots[i]
+        ),
+    )  # fmt: skip
+    if not all(good):
+        raise KernelError("bin: order points outside the splats")
+    lists.first_slots(slots, offsets)
+    ids: I32 = workspace.array("numba.ids", (int(offsets[-1]),), np.int32)
+    spread(
+        threads, threads,
+        lambda i: lists.fill_tiles(*runs[i], order, boxes, across, slots[i], ids),
+    )  # fmt: skip
+    return Bins(offsets, ids, size)
+
+
+def composite(splats: Splats, bins: Bins, params: RenderParams, workspace: Workspace) -> Frame:
+    """See :class:`tsplat.core.stages.Composite`."""
+    _check(splats)
+    m, height, width, size = len(splats), splats.height, splats.width, bins.tile_size
+    threads = workspace.threads
+    if not 1 <= size <= TILE_SIZE_MAX:
+        raise KernelError(f"composite: expected tiles of 1 to {TILE_SIZE_MAX} px, got {size}")
+    tiles = -(-width // size) * -(-height // size)
+    offsets = check_array("Bins.tile_offsets", bins.tile_offsets, np.int64, (tiles + 1,))
+    ids = check_array("Bins.splat_ids", bins.splat_ids, np.int32, (int(bins.tile_offsets[-1]),))
+    if offsets[0] != 0 or (np.diff(offsets) < 0).any():
+        raise KernelError("composite: Bins.tile_offsets must start at 0 and never fall")
+    # Extents end at the floor where there is no threshold.
+    threshold = max(params.alpha_threshold, ALPHA_FLOOR)
+    records = workspace.array("numba.records", (m, pixels.RECORD), np.float32)
+    rgb = workspace.array("numba.rgb", (height, width, 3), np.float32)
+    transmittance = workspace.array("numba.transmittance", (height, width), np.float32)
+    depth = workspace.array("numba.depth", (height, width), np.float32) if params.depth else None
+    rows = _runs(m, threads)
+    spread(
+        threads, threads,
+        lambda i: pixels.pack_splats(
+            *rows[i], threshold, splats.means2d, splats.factors, splats.depths, splats.opacities,
+            splats.colors, records,
+        ),
+    )  # fmt: skip
+    patches = tiles * (-(-size // pixels.SIDE)) ** 2
+    runs = _runs(patches, min(patches, 16 * threads))
+    good = spread(
+        threads, len(runs),
+        lambda i: pixels.composite_patches(
+            *runs[i], records, offsets, ids, size, width, height, threshold,
+            params.transmittance_min, params.depth, rgb, transmittance,
+            transmittance if depth is None else depth,
+        ),
+    )  # fmt: skip
+    if not all(good):
+        raise KernelError("composite: Bins.splat_ids points outside the splats")
+    return Frame(rgb, transmittance, depth)

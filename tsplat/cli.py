@@ -1,0 +1,300 @@
+"""The command line: arguments in, one command called, errors as one line.
+
+Nothing heavy is imported before a command needs it, so ``tsplat --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from tsplat._version import __version__
+from tsplat.core.errors import TsplatError, printable
+
+COMMANDS = ("view", "render", "info", "plugins", "check")
+SHELLS = ("bash", "zsh", "tcsh")
+VECTORS = ("--eye", "--target", "--up", "--background")
+
+DESCRIPTION = """\
+3D Gaussian Splatting scenes in a terminal, on a CPU.
+
+  tsplat scene.ply                       look at a scene (the same as tsplat view scene.ply)
+  tsplat                                 look at the built-in demo scene
+  tsplat render scene.ply -o out.png     make a picture, no terminal needed
+  tsplat info scene.ply                  what is in a file
+  tsplat plugins                         backends, presenters and readers that are installed
+  tsplat check scene.ply                 prove every backend right on a scene
+"""
+VIEW_EXAMPLES = """\
+examples:
+  tsplat view scene.ply
+  tsplat view scene.ply --backend numba --presenter halfblock
+  tsplat view scene.ply --max-splats 200000 --threads 4
+
+keys: W A S D pan, arrows or J K / H L turn, + - zoom, mouse drag turns, wheel zooms,
+      O auto-orbit, U upside up, R reset, Tab status line, ? help, Q quit
+"""
+RENDER_EXAMPLES = """\
+examples:
+  tsplat render scene.ply -o out.png --size 1280x720
+  tsplat render scene.ply -o out.png --eye 0,-1,-5 --target 0,0,0 --up 0,-1,0 --fov 60
+  tsplat render scene.ply -o out.npz --camera cameras.json#3 --background none
+  tsplat render scene.ply -o - --ideal | convert - exact.jpg
+  tsplat render scene.ply -o out.png --repeat 10 --json
+"""
+CHECK_EXAMPLES = """\
+examples:
+  tsplat check                            every backend on the demo scene
+  tsplat check scene.ply --backend cffi --size 1280x720 --json
+
+Every stage gets the reference's input. Exit code 1 if the contract is broken anywhere.
+"""
+
+
+def _pair(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([0-9]{1,6})[xX]([0-9]{1,6})", text)
+    if not match or not int(match[1]) or not int(match[2]):
+        raise argparse.ArgumentTypeError(f"expected WIDTHxHEIGHT, such as 1280x720, got {text!r}")
+    return int(match[1]), int(match[2])
+
+
+def _vector(text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"expected three numbers, such as 0,-1,2.5, got {text!r}"
+        ) from None
+    return x, y, z
+
+
+def _color(text: str) -> tuple[float, float, float] | None:
+    if text == "none":
+        return None
+    color = _vector(text)
+    if not all(0 <= channel <= 1 for channel in color):
+        raise argparse.ArgumentTypeError(f"expected 'none' or R,G,B from 0 to 1, got {text!r}")
+    return color
+
+
+def _count(text: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,12}", text) or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1 on, got {text!r}")
+    return int(text)
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
+    return value
+
+
+def _threads(text: str) -> int:
+    value = _count(text)
+    if value > 256:
+        raise argparse.ArgumentTypeError(f"expected 1 to 256, got {value}")
+    return value
+
+
+def _add_scene(parser: argparse.ArgumentParser, optional: bool = True) -> None:
+    parser.add_argument(
+        "scene",
+        metavar="SCENE",
+        nargs="?" if optional else None,
+        help="a splat file" + ("; the built-in demo scene if left out" if optional else ""),
+    )
+    reading = parser.add_argument_group("reading")
+    reading.add_argument(
+        "--max-splats", type=_count, metavar="N", help="keep N Gaussians, an even sample"
+    )
+    reading.add_argument(
+        "--raw-opacity", action="store_true", help="the file's opacities are 0..1, not logits"
+    )
+
+
+def _add_engine(parser: argparse.ArgumentParser) -> None:
+    engine = parser.add_argument_group("rendering")
+    engine.add_argument(
+        "--backend",
+        default="auto",
+        metavar="B",
+        help="a name from `tsplat plugins`, STAGE=NAME,... to mix, or auto (default): the fastest",
+    )
+    engine.add_argument(
+        "--threads", type=_threads, metavar="N", help="default: every CPU this process may use"
+    )
+    engine.add_argument(
+        "--antialias", action="store_true", help="for scenes trained with antialiasing"
+    )
+    engine.add_argument(
+        "--sh-degree", type=int, choices=range(4), default=3, metavar="D",
+        help="highest degree of view-dependent colour, 0 to 3 (default)",
+    )  # fmt: skip
+
+
+def _add_pose(parser: argparse.ArgumentParser) -> None:
+    pose = parser.add_argument_group("camera", "default: a view that frames the scene")
+    pose.add_argument(
+        "--camera", metavar="FILE[#INDEX]", help="camera JSON, ours or INRIA's cameras.json"
+    )
+    pose.add_argument("--eye", type=_vector, metavar="X,Y,Z", help="where the camera stands")
+    pose.add_argument(
+        "--target", type=_vector, metavar="X,Y,Z", help="what it looks at (the scene's middle)"
+    )
+    pose.add_argument(
+        "--up", type=_vector, metavar="X,Y,Z", help="the world's up direction (0,-1,0)"
+    )
+    pose.add_argument(
+        "--fov", type=_positive, metavar="DEG", help="vertical field of view, degrees (50)"
+    )
+    pose.add_argument("--near", type=_positive, metavar="Z", help="nothing nearer is drawn")
+    pose.add_argument("--far", type=_positive, metavar="Z", help="nothing farther is drawn")
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser("tsplat", description=DESCRIPTION, formatter_class=raw)
+    parser.add_argument("--version", action="version", version=f"tsplat {__version__}")
+    parser.add_argument(
+        "--print-completion", choices=SHELLS, metavar="SHELL",
+        help=f"print a completion script for {', '.join(SHELLS)}",
+    )  # fmt: skip
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+
+    def add(name: str, summary: str, examples: str = "") -> argparse.ArgumentParser:
+        return commands.add_parser(
+            name, help=summary, description=summary[0].upper() + summary[1:] + ".",
+            epilog=examples, formatter_class=raw,
+        )  # fmt: skip
+
+    view = add("view", "look at a scene in this terminal", VIEW_EXAMPLES)
+    _add_scene(view)
+    _add_engine(view)
+    view.add_argument(
+        "--presenter", default="auto", metavar="P",
+        help="kitty, iterm2, sixel, halfblock, another of `tsplat plugins`, or auto (default)",
+    )  # fmt: skip
+    view.add_argument(
+        "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each"
+    )
+
+    render = add("render", "make a picture of a scene", RENDER_EXAMPLES)
+    _add_scene(render)
+    render.add_argument(
+        "-o", "--output", required=True, metavar="OUT",
+        help=".png .jpg .webp, .npy (float RGBA), .npz (rgb, transmittance, depth, camera), "
+        "- for PNG on stdout",
+    )  # fmt: skip
+    render.add_argument(
+        "--size", type=_pair, metavar="WxH", help="px (the camera's own, or 1280x720)"
+    )
+    _add_pose(render)
+    _add_engine(render)
+    render.add_argument(
+        "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B|none",
+        help="0..1 each, or none for transparent (0,0,0)",
+    )  # fmt: skip
+    render.add_argument(
+        "--ideal", action="store_true",
+        help="the model's true value: float64, no alpha threshold, no early stop; slow",
+    )  # fmt: skip
+    render.add_argument(
+        "--float64", action="store_true", help="the contract's picture worked out in float64; slow"
+    )
+    render.add_argument(
+        "--repeat", type=_count, default=1, metavar="N", help="render N times, for timing"
+    )
+    render.add_argument("--json", action="store_true", help="print facts and timings as JSON")
+
+    info = add("info", "say what is in a scene file")
+    _add_scene(info, optional=False)
+    _add_engine(info)
+    info.add_argument("--json", action="store_true", help="print it as JSON")
+
+    plugins = add("plugins", "list backends, presenters and readers")
+    plugins.add_argument("--json", action="store_true", help="print it as JSON")
+
+    check = add("check", "compare every backend with the reference", CHECK_EXAMPLES)
+    _add_scene(check)
+    check.add_argument("--backend", metavar="B", help="only this one (default: all available)")
+    check.add_argument(
+        "--size", type=_pair, metavar="WxH", help="px (the camera's own, or 320x200)"
+    )
+    check.add_argument("--camera", metavar="FILE[#INDEX]", help="default: frames the scene")
+    check.add_argument("--threads", type=_threads, metavar="N")
+    check.add_argument("--antialias", action="store_true")
+    check.add_argument("--sh-degree", type=int, choices=range(4), default=3, metavar="D")
+    check.add_argument("--json", action="store_true", help="print the verdicts as JSON")
+    return parser
+
+
+def _arranged(argv: Sequence[str], parser: argparse.ArgumentParser) -> list[str]:
+    """``argv`` with ``view`` put in where no command is named, and ``--eye -1,0,2`` made to work.
+
+    argparse would take a vector that begins with a minus for an option.
+    """
+    out: list[str] = []
+    words = iter(argv)
+    for word in words:
+        value = next(words, None) if word in VECTORS else None
+        if value is None:
+            out.append(word)
+        elif re.match(r"-[0-9.]", value):
+            out.append(f"{word}={value}")
+        else:
+            out += [word, value]
+    first = out[0] if out else ""
+    if first in ("-h", "--help", "--version", *COMMANDS) or first.startswith("--print-completion"):
+        return out
+    if re.fullmatch(r"[a-z]+", first) and not Path(first).exists():
+        from difflib import get_close_matches
+
+        close = get_close_matches(first, COMMANDS, 1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        parser.error(f"{first!r} is neither a command nor a file{hint}")
+    return ["view", *out]
+
+
+def _print_completion(parser: argparse.ArgumentParser, shell: str) -> int:
+    import shtab
+
+    print(shtab.complete(parser, shell))
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command; the exit code: 0, 1 for an error or a broken contract, 2 for usage."""
+    parser = make_parser()
+    words = _arranged(sys.argv[1:] if argv is None else argv, parser)
+    if words[:1] == ["--print-completion"] and words[1:] and words[1] in SHELLS:
+        return _print_completion(parser, words[1])
+    arguments = parser.parse_args(words)
+    try:
+        module = importlib.import_module(f"tsplat.commands.{arguments.command}")
+        run: Callable[[argparse.Namespace], int] = module.run
+        code = run(arguments)
+        sys.stdout.flush()
+        return code
+    except TsplatError as error:
+        print(f"tsplat: {printable(error, 1000)}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("tsplat: interrupted", file=sys.stderr)
+        return 130
+    except MemoryError:
+        print("tsplat: out of memory; try --max-splats or a smaller --size", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # The reader of our output went away; there is nobody to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1

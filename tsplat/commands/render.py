@@ -1,0 +1,98 @@
+"""``tsplat render``: one picture into a file, and what it took."""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from tsplat.commands.common import dropped_text, load, params, pose, print_json, say
+from tsplat.core.errors import ParamsError
+from tsplat.core.params import IDEAL, RenderParams
+from tsplat.core.stages import STAGES
+from tsplat.core.types import Scene
+from tsplat.core.workspace import Workspace
+from tsplat.io.images import check_output, needs_depth, write_output
+from tsplat.plan import Plan, Rendered, make_plan
+
+
+def _params(arguments: argparse.Namespace) -> RenderParams:
+    made = replace(params(arguments), depth=needs_depth(arguments.output))
+    if arguments.ideal:
+        return replace(
+            made,
+            float64=True,
+            alpha_threshold=IDEAL.alpha_threshold,
+            transmittance_min=IDEAL.transmittance_min,
+        )
+    return replace(made, float64=arguments.float64)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Loads, renders, writes, reports."""
+    if arguments.json and arguments.output == "-":
+        raise ParamsError("--json and -o - both write to stdout; choose one")
+    check_output(arguments.output, arguments.background)
+    begin = time.perf_counter()
+    scene = load(arguments)
+    loaded = time.perf_counter() - begin
+    camera = pose(arguments, scene)
+    plan = make_plan(
+        scene, backend=arguments.backend, threads=arguments.threads, params=_params(arguments)
+    )
+    workspace = Workspace(plan.threads)
+    runs = [plan.run(scene, camera, workspace) for _ in range(arguments.repeat)]
+    write_output(arguments.output, runs[-1].frame, camera, arguments.background)
+    seconds = {"load": loaded, **_over(runs, min)}
+    if arguments.json:
+        print_json(_facts(scene, plan, runs, seconds))
+    else:
+        _tell(arguments.output, scene, plan, runs[-1], seconds)
+    return 0
+
+
+def _over(runs: Sequence[Rendered], summarise: Any) -> dict[str, float]:
+    return {stage: summarise([r.seconds[stage] for r in runs]) for stage in runs[0].seconds}
+
+
+def _facts(
+    scene: Scene, plan: Plan, runs: Sequence[Rendered], seconds: Mapping[str, float]
+) -> dict[str, Any]:
+    last = runs[-1]
+    return {
+        "backend": dict(plan.backends),
+        "fused": [s for s in STAGES if s not in last.seconds],
+        "threads": plan.threads,
+        "width": last.frame.width,
+        "height": last.frame.height,
+        "gaussians": len(scene),
+        "dropped": {**scene.dropped, **_overflow(last)},
+        "visible": last.visible,
+        "intersections": last.intersections,
+        "seconds": dict(seconds),
+        "seconds_median": _over(runs, statistics.median),
+        "left_out": [vars(item) for item in plan.left_out],
+    }
+
+
+def _overflow(rendered: Rendered) -> dict[str, int]:
+    return {"projection overflow": rendered.overflowed} if rendered.overflowed else {}
+
+
+def _tell(
+    output: str, scene: Scene, plan: Plan, last: Rendered, seconds: Mapping[str, float]
+) -> None:
+    stages = ", ".join(f"{s} {seconds[s] * 1e3:.1f}" for s in STAGES if s in seconds)
+    names = " + ".join(dict.fromkeys(plan.backends.values()))
+    left = dropped_text(scene)
+    threads = f"{plan.threads} thread{'s' if plan.threads > 1 else ''}"
+    say(
+        f"{output}: {last.frame.width}x{last.frame.height}, {last.visible:,} of {len(scene):,} "
+        f"Gaussians in view, {seconds['total'] * 1e3:.1f} ms ({stages}) by {names}, {threads}"
+        + (f"; {left}" if left else "")
+    )
+    if last.overflowed:
+        say(f"{last.overflowed:,} Gaussians too large or too near for float32 were left out")

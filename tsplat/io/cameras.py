@@ -1,0 +1,182 @@
+"""Camera files: JSON, one camera or a list of them.
+
+tsplat's own: ``{"width", "height", "viewmat": 4 x 4 rows, world to camera, "K": 3 x 3 rows}`` and
+optionally ``near`` and ``far``; axes are OpenCV's: x right, y down, z forward.
+
+INRIA's ``cameras.json`` (graphdeco-inria/gaussian-splatting ``utils/camera_utils.py``,
+``camera_to_JSON``): ``{"id", "img_name", "width", "height", "position", "rotation", "fx", "fy"}``,
+where position is the camera's centre and rotation's rows are those of camera to world. The
+principal point is the image's middle.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from tsplat.core.camera import Camera
+from tsplat.core.constants import FAR, NEAR
+from tsplat.core.errors import CameraError, printable
+from tsplat.core.types import F64
+
+SIZE_MAX = 64 << 20
+"""Bytes. A camera takes 500, so this is a list of a hundred thousand."""
+
+OWN = ("width", "height", "viewmat", "K")
+INRIA = ("width", "height", "position", "rotation", "fx", "fy")
+
+
+def load_cameras(path: str | os.PathLike[str]) -> list[Camera]:
+    """Every camera in the file, in its order; one or more.
+
+    Raises:
+        CameraError: it cannot be read, is not JSON, or an entry is no camera; one line that
+            names the file, the entry's index and what is wrong.
+    """
+    shown = printable(path)
+    data = _json(Path(path), shown)
+    entries = data if isinstance(data, list) else [data]
+    if not entries:
+        raise CameraError(f"{shown}: an empty list, expected at least one camera")
+    cameras = []
+    for index, entry in enumerate(entries):
+        try:
+            cameras.append(camera_from_json(entry))
+        except CameraError as error:
+            raise CameraError(f"{shown}: camera {index}: {error}") from error
+    return cameras
+
+
+def load_camera(spec: str) -> Camera:
+    """The camera that ``FILE#INDEX`` names; see :func:`parse_camera_spec`.
+
+    Raises:
+        CameraError: no such file, or no such camera in it.
+    """
+    path, index = parse_camera_spec(spec)
+    cameras = load_cameras(path)
+    if index >= len(cameras):
+        raise CameraError(
+            f"{printable(path)}: no camera {index}; it has {len(cameras)}, "
+            f"#0 to #{len(cameras) - 1}"
+        )
+    return cameras[index]
+
+
+def parse_camera_spec(spec: str) -> tuple[str, int]:
+    """``FILE#INDEX`` -> (FILE, INDEX), counted from 0; a FILE alone is its first camera.
+
+    Raises:
+        CameraError: no FILE, or an INDEX that is not a whole number.
+    """
+    path, hash_sign, text = spec.rpartition("#")
+    if not hash_sign:
+        path, text = spec, "0"
+    if not path or not (text.isascii() and text.isdigit()) or len(text) > 9:
+        raise CameraError(
+            f"camera {printable(spec)!r}: expected FILE#INDEX with INDEX 0, 1, 2, ..., "
+            "such as cameras.json#0"
+        )
+    return path, int(text)
+
+
+def camera_to_json(camera: Camera) -> dict[str, Any]:
+    """``camera`` as :func:`load_cameras` reads it; numbers keep every bit."""
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "viewmat": camera.viewmat.tolist(),
+        "K": camera.K.tolist(),
+        "near": camera.near,
+        "far": camera.far,
+    }
+
+
+def camera_from_json(entry: object) -> Camera:
+    """The camera that one JSON object describes.
+
+    Raises:
+        CameraError: a key is missing, a value has another shape, or Camera refuses the numbers.
+    """
+    if not isinstance(entry, dict):
+        raise CameraError(f"expected an object, got {type(entry).__name__}")
+    keys = INRIA if "viewmat" not in entry and "position" in entry else OWN
+    missing = [key for key in keys if key not in entry]
+    if missing:
+        raise CameraError(
+            f"lacks {', '.join(missing)}; expected {', '.join(OWN)}, or INRIA's {', '.join(INRIA)}"
+        )
+    width, height = (_whole(entry[key], key) for key in ("width", "height"))
+    near, far = (
+        float(_numbers(entry.get(key, default), key, ()))
+        for key, default in (("near", NEAR), ("far", FAR))
+    )
+    if keys is OWN:
+        viewmat = _numbers(entry["viewmat"], "viewmat", (4, 4))
+        intrinsics = _numbers(entry["K"], "K", (3, 3))
+    else:
+        rotation = _numbers(entry["rotation"], "rotation", (3, 3)).T
+        fx, fy = (float(_numbers(entry[key], key, ())) for key in ("fx", "fy"))
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = rotation
+        viewmat[:3, 3] = -rotation @ _numbers(entry["position"], "position", (3,))
+        intrinsics = np.array([[fx, 0, width / 2], [0, fy, height / 2], [0, 0, 1]])
+    return Camera(viewmat, intrinsics, width, height, near, far)
+
+
+def _whole(value: object, key: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | float) or value != value // 1:
+        raise CameraError(f"{key}: expected a whole number, got {printable(repr(value), 40)}")
+    return int(value)
+
+
+def _numbers(value: object, key: str, shape: tuple[int, ...]) -> F64:
+    """A JSON number or nested lists of them as float64 of ``shape``."""
+    wanted = " x ".join(map(str, shape)) + " numbers" if shape else "a number"
+    if not _has_shape(value, shape):
+        raise CameraError(f"{key}: expected {wanted}, got {printable(repr(value), 60)}")
+    try:
+        return np.array(value, np.float64)
+    except OverflowError as error:
+        raise CameraError(f"{key}: expected {wanted} within the range of float64") from error
+
+
+def _has_shape(value: object, shape: tuple[int, ...]) -> bool:
+    if not shape:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    return (
+        isinstance(value, list)
+        and len(value) == shape[0]
+        and all(_has_shape(v, shape[1:]) for v in value)
+    )
+
+
+def _json(path: Path, shown: str) -> Any:
+    """The parsed file; NaN and Infinity, which JSON does not have, are refused."""
+    try:
+        if path.is_dir():
+            raise CameraError(f"{shown}: is a directory; name a JSON file in it")
+        if not path.exists():
+            raise CameraError(f"{shown}: no such file")
+        with path.open("rb") as stream:
+            raw = stream.read(SIZE_MAX + 1)
+    except OSError as error:
+        raise CameraError(f"{shown}: cannot be read: {printable(error.strerror)}") from error
+    if len(raw) > SIZE_MAX:
+        raise CameraError(f"{shown}: more than {SIZE_MAX} bytes, too large for a list of cameras")
+
+    def refuse(constant: str) -> NoReturn:
+        raise CameraError(
+            f"{shown}: has {constant}, which is not JSON; cameras need finite numbers"
+        )
+
+    try:
+        return json.loads(raw.decode("utf-8-sig"), parse_constant=refuse)
+    except CameraError:
+        raise
+    except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, nested without end
+        raise CameraError(f"{shown}: not a JSON file: {printable(error, 80)}") from error

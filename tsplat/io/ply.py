@@ -1,0 +1,235 @@
+"""INRIA's PLY of Gaussians: one vertex per Gaussian, properties found by name.
+
+Layout and activations: graphdeco-inria/gaussian-splatting ``scene/gaussian_model.py``,
+``save_ply`` and ``load_ply`` (Kerbl et al. 2023). ``opacity`` is a logit, ``scale_*`` are natural
+logarithms, ``rot_*`` is w, x, y, z of any length, ``f_rest_*`` is channel-major: every
+coefficient of red, then of green, then of blue. Property order, number types, byte order, normals
+and further properties and elements differ from writer to writer and are no matter.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsplat.core.errors import printable
+from tsplat.core.types import F64, Floats, Scene
+from tsplat.hookspecs import hookimpl
+from tsplat.io.base import Read, Reader, ReadOptions, refuse, sample_rows
+from tsplat.io.clean import CHUNK, OPACITY_RANGE, SceneBuilder
+
+if TYPE_CHECKING:
+    from tsplat.io.plyrows import Element, Header
+
+MEANS = ("x", "y", "z")
+QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+SCALES = ("scale_0", "scale_1", "scale_2")
+DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+NEEDED = (*MEANS, *DC, "opacity", *SCALES, *QUATS)
+TELLING = ("opacity", *DC, *SCALES, *QUATS)
+"""Properties that only a file of Gaussians has."""
+
+REST_COUNTS = (0, 9, 24, 45)
+"""f_rest properties of degree 0 to 3: for each of three channels (degree + 1)^2 - 1."""
+
+SAMPLED = "beyond max_splats"
+
+
+def rest_count(properties: tuple[str, ...]) -> int | str:
+    """How many ``f_rest_*`` there are, or what is wrong with them."""
+    rest = [p for p in properties if p.startswith("f_rest")]
+    indices = set()
+    for name in rest:
+        found = re.fullmatch(r"f_rest_(0|[1-9][0-9]{0,3})", name)
+        if not found:
+            return f"has a property {printable(name, 40)!r}; expected f_rest_0, f_rest_1, ..."
+        indices.add(int(found[1]))
+    missing = set(range(len(rest))) - indices
+    if missing:
+        return f"has {len(rest)} f_rest properties but no f_rest_{min(missing)}"
+    if len(rest) not in REST_COUNTS:
+        degree = {72: ", which is degree 4"}.get(len(rest), "")
+        return (
+            f"has {len(rest)} f_rest properties{degree}; expected 0, 9, 24 or 45, "
+            "spherical harmonics of degree 0 to 3"
+        )
+    return len(rest)
+
+
+def _columns(rows: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.generic]:
+    """[n, len(names)]: a view where the properties lie side by side, as they mostly do.
+
+    Of one type it is that type; of several, float32 if every value fits into it exactly, else
+    float64.
+    """
+    fields = [rows.dtype.fields[name] for name in names]  # type: ignore[index]
+    kind, first = fields[0][:2]
+    if [f[:2] for f in fields] == [(kind, first + j * kind.itemsize) for j in range(len(fields))]:
+        run = np.dtype(
+            {
+                "names": ["run"],
+                "formats": [(kind, (len(names),))],
+                "offsets": [first],
+                "itemsize": rows.dtype.itemsize,
+            }
+        )
+        return rows.view(run)["run"]
+    fits = all(np.can_cast(f[0], np.float32) for f in fields)
+    columns = np.empty((len(rows), len(names)), np.float32 if fits else np.float64)
+    for j, name in enumerate(names):
+        columns[:, j] = rows[name]
+    return columns
+
+
+def _floats(rows: NDArray[np.void], names: tuple[str, ...]) -> Floats:
+    """[n, len(names)] float32 if every property fits into it exactly, float64 otherwise."""
+    columns = _columns(rows, names)
+    if np.can_cast(columns.dtype, np.float32):
+        return columns.astype(np.float32, copy=False)
+    return columns.astype(np.float64, copy=False)
+
+
+def sigmoid(logits: F64) -> F64:
+    """1 / (1 + e^-x) in float64; exactly 0 and 1 at the infinities."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return 1 / (1 + np.exp(-logits))
+
+
+def _add(builder: SceneBuilder, rows: NDArray[np.void], rest: int, raw_opacity: bool) -> None:
+    """Decodes ``rows`` into ``builder``. exp and sigmoid in float64: rounded once, to float32."""
+    per_channel = rest // 3
+    sh = np.empty((len(rows), 1 + per_channel, 3), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # the builder drops what is not finite
+        opacities = rows["opacity"].astype(np.float64)
+        means, quats = _floats(rows, MEANS), _floats(rows, QUATS)
+        scales = np.exp(_columns(rows, SCALES).astype(np.float64)).astype(np.float32)
+        sh[:, 0] = _columns(rows, DC)
+        for channel in range(3 if per_channel else 0):
+            first = channel * per_channel
+            names = tuple(f"f_rest_{i}" for i in range(first, first + per_channel))
+            sh[:, 1:, channel] = _columns(rows, names)
+    builder.add(
+        means,
+        quats,
+        scales,
+        opacities if raw_opacity else sigmoid(opacities),
+        sh,
+    )
+
+
+def check(path: Path, header: Header) -> Element:
+    """Element ``vertex`` of a file of Gaussians.
+
+    Raises:
+        SceneError: it is something else; the line says what.
+    """
+    vertex = header.find("vertex")
+    if vertex is None:
+        found = ", ".join(e.name for e in header.elements[:8]) or "none"
+        refuse(path, f"PLY file without an element vertex; its elements: {found}")
+    if any(p.startswith("packed_") for p in vertex.properties):
+        refuse(
+            path,
+            "compressed PLY (PlayCanvas, packed_* properties), which is not read yet; convert "
+            "it with: splat-transform in.compressed.ply out.ply",
+        )
+    if not set(TELLING) & set(vertex.properties):
+        face = next((e for e in header.elements if e.name in ("face", "tristrips")), None)
+        kind = f"mesh (element {face.name} {face.count})" if face else "point cloud"
+        refuse(
+            path,
+            f"this is a {kind} of {vertex.count} vertices without opacity, scale_* and rot_*, "
+            "not Gaussian splats; train splats from it, or open it in a mesh viewer",
+        )
+    if vertex.lists:
+        name = printable(vertex.lists[0], 40)
+        refuse(path, f"property {name} of element vertex is a list, expected a number")
+    missing = [name for name in NEEDED if name not in vertex.properties]
+    if missing:
+        refuse(
+            path,
+            f"element vertex lacks {', '.join(missing)}; "
+            "a file of Gaussians has x y z f_dc_0..2 opacity scale_0..2 rot_0..3",
+        )
+    if not vertex.count:
+        refuse(path, "holds no Gaussians (element vertex 0)")
+    return vertex
+
+
+def read(path: Path, options: ReadOptions) -> Scene:
+    """See :class:`tsplat.io.base.Read`."""
+    from tsplat.io import plyrows
+
+    header = plyrows.read_header(path)
+    vertex = check(path, header)
+    rest = rest_count(vertex.properties)
+    if isinstance(rest, str):
+        refuse(path, rest)
+    rows = plyrows.read_rows(path, header, options.progress)
+    builder = decode(rows, rest, options, _nothing if header.text else options.progress)
+    if options.raw_opacity and builder.dropped[OPACITY_RANGE] > len(builder):
+        refuse(
+            path,
+            f"{builder.dropped[OPACITY_RANGE]} opacities lie outside 0..1, so they are logits; "
+            "read the file without raw_opacity (--raw-opacity)",
+        )
+    if not len(builder):
+        reasons = ", ".join(f"{r}: {n}" for r, n in builder.dropped.items() if r != SAMPLED)
+        refuse(path, f"none of its Gaussians can be drawn ({reasons})")
+    return builder.build(printable(path.name))
+
+
+def _load() -> Read:
+    import tsplat.io.plyrows  # noqa: F401 - plyfile, and what is wrong with it, now
+
+    return read
+
+
+def _nothing(done: int, total: int) -> None:
+    pass
+
+
+def decode(
+    rows: NDArray[np.void], rest: int, options: ReadOptions, progress: Callable[[int, int], None]
+) -> SceneBuilder:
+    """All of ``rows``, or an even sample of ``options.max_splats``, chunk by chunk."""
+    picked = None
+    keep = len(rows)
+    if options.max_splats is not None and options.max_splats < len(rows):
+        keep = options.max_splats
+        picked = sample_rows(len(rows), keep)
+    wide = not all(np.can_cast(rows.dtype[name], np.float32) for name in MEANS)
+    builder = SceneBuilder(keep, 1 + rest // 3, wide=wide)
+    if picked is not None:
+        builder.dropped[SAMPLED] = len(rows) - keep
+    progress(0, keep)
+    for start in range(0, keep, CHUNK):
+        stop = min(start + CHUNK, keep)
+        chunk = rows[start:stop] if picked is None else rows[picked[start:stop]]
+        _add(builder, np.asarray(chunk), rest, options.raw_opacity)
+        progress(stop, keep)
+    return builder
+
+
+def recognises(start: bytes) -> bool:
+    """Whether a file begins like a PLY file."""
+    return re.match(rb"ply[\r\n]", start) is not None
+
+
+PLY = Reader(
+    name="ply",
+    summary="Gaussians as INRIA's trainer writes them, spherical harmonics of degree 0 to 3",
+    recognises=recognises,
+    load=_load,
+)
+
+
+@hookimpl
+def tsplat_readers() -> list[Reader]:
+    """See :func:`tsplat.hookspecs.tsplat_readers`."""
+    return [PLY]

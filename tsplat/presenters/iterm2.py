@@ -1,0 +1,69 @@
+"""iTerm2's inline images (https://iterm2.com/documentation-images.html).
+
+JPEG, because these are moving pictures: a 640x360 frame takes 1 ms to encode and some 70 kB, a
+PNG 12 ms and 370 kB, and Konsole shows a JPEG in 4 ms, a PNG in 29. Both formats are understood
+everywhere; nothing is gained from PNG but exactness, for which there is kitty's protocol.
+"""
+
+from __future__ import annotations
+
+from binascii import b2a_base64
+
+from tsplat.core.types import Frame
+from tsplat.hookspecs import hookimpl
+from tsplat.presenters.base import Presenter, Terminal, changed
+
+OSC = b"\x1b]"  # Operating System Command
+BEL = b"\x07"  # ends it; older terminals know no ST here
+QUALITY = 90
+
+
+def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
+    """The frame as a JPEG file; b"" if it looks like ``previous``.
+
+    ``size`` is there because VS Code shows no picture without it. Width and height are the
+    picture's own in px, so that preserveAspectRatio, which Konsole has the other way round,
+    makes no difference and is left out. doNotMoveCursor keeps Konsole from scrolling; who does
+    not know it ignores it.
+    """
+    from io import BytesIO
+
+    from PIL import Image
+
+    image = frame.to_uint8()
+    if not changed(image, previous):
+        return b""
+    file = BytesIO()
+    Image.fromarray(image).save(file, "JPEG", quality=QUALITY)
+    data = file.getvalue()
+    keys = b"inline=1;size=%d;width=%dpx;height=%dpx;doNotMoveCursor=1" % (
+        len(data),
+        frame.width,
+        frame.height,
+    )
+    return OSC + b"1337;File=" + keys + b":" + b2a_base64(data, newline=False) + BEL
+
+
+def unsupported(terminal: Terminal) -> str | None:
+    """None, or why not."""
+    if not terminal.tty:
+        return "the output is not a terminal"
+    if terminal.multiplexer:
+        return f"{terminal.multiplexer} does not let pictures through by itself"
+    return None if terminal.iterm2 else "the terminal is not known to take OSC 1337 pictures"
+
+
+ITERM2 = Presenter(
+    name="iterm2",
+    summary="iTerm2's inline images, JPEG",
+    encode=encode,
+    size=lambda terminal: terminal.pixels,
+    unsupported=unsupported,
+    rank=30,
+)
+
+
+@hookimpl
+def tsplat_presenters() -> list[Presenter]:
+    """The iterm2 presenter."""
+    return [ITERM2]

@@ -1,0 +1,218 @@
+"""What a terminal says of itself: the questions, and facts made of the answers.
+
+Every question that is worth a frame's trouble goes out in one write with Primary Device
+Attributes last: every terminal answers those, and in order, so whatever has not come by then does
+not come. Sources:
+
+- DA1, XTVERSION (``CSI > q``), XTWINOPS (``CSI 14 t``, ``CSI 16 t``), XTSMGRAPHICS, XTGETTCAP,
+  DECRQM, DECRQSS: https://invisible-island.net/xterm/ctlseqs/ctlseqs.html
+- kitty's query: https://sw.kovidgoyal.net/kitty/graphics-protocol/#querying-support
+- ReportCellSize: https://iterm2.com/documentation-escape-codes.html
+- synchronized output: https://github.com/contour-terminal/vt-extensions
+- NO_COLOR: https://no-color.org
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from math import isfinite
+
+from tsplat.core.errors import printable
+from tsplat.presenters.base import Terminal
+
+Winsize = tuple[int, int, int, int]  # rows, columns, xpixel, ypixel as TIOCGWINSZ has them
+
+DA1 = b"\x1b[c"
+QUESTIONS = (
+    b"\x1b_Gi=31,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\"  # kitty graphics: one pixel, not kept
+    b"\x1b[>q"  # XTVERSION
+    b"\x1b[?2026$p"  # DECRQM: synchronized output
+    b"\x1b[14t\x1b[16t"  # XTWINOPS: text area, cell; px
+    b"\x1b[?1;1;0S\x1b[?2;4;0S"  # XTSMGRAPHICS: registers now, largest sixel picture
+    b"\x1b]1337;ReportCellSize\x1b\\"
+    b"\x1bP+q524742\x1b\\\x1bP+q5463\x1b\\"  # XTGETTCAP: RGB, Tc
+    b"\x1b[48;2;1;2;3m\x1bP$qm\x1b\\\x1b[m" + DA1  # DECRQSS: is a 24-bit colour kept?
+)
+
+DA1_ANSWER = re.compile(rb"\x1b\[\?([0-9;]*)c")
+_ANSWER = re.compile(
+    rb"\x1b\[[?>=][0-9;]*[ $]?[A-Za-z]"  # DA1, DECRPM, XTSMGRAPHICS
+    rb"|\x1b\[[468](?:;[0-9]+)+t"  # XTWINOPS
+    rb"|\x1b\[[0-9;]*[nR]"
+    rb"|\x1b[P_][^\x1b\x07]*\x1b\\"  # DCS, APC
+    rb"|\x1b\][^\x1b\x07]*(?:\x1b\\|\x07)"  # OSC
+)
+_XTVERSION = re.compile(rb"\x1bP>\|([^\x1b]*)\x1b\\")
+_KITTY_OK = re.compile(rb"\x1b_Gi=31[^;\x1b]*;OK\x1b\\")
+_SYNCHRONIZED = re.compile(rb"\x1b\[\?2026;([0-9]+)\$y")
+_AREA = re.compile(rb"\x1b\[4;([0-9]{1,6});([0-9]{1,6})t")
+_CELL = re.compile(rb"\x1b\[6;([0-9]{1,6});([0-9]{1,6})t")
+_REGISTERS = re.compile(rb"\x1b\[\?1;0;([0-9]{1,6})S")
+_GEOMETRY = re.compile(rb"\x1b\[\?2;0;([0-9]{1,6});([0-9]{1,6})S")
+_CELL_SIZE = re.compile(rb"\x1b\]1337;ReportCellSize=([0-9.]+);([0-9.]+)(?:;([0-9.]+))?")
+_TRUECOLOR_CAP = re.compile(rb"\x1bP1\+r(?:524742|5463)", re.IGNORECASE)
+_KEPT_COLOR = re.compile(rb"\x1bP1\$r[0-9:;]*48[:;]2[:;](?:[01]?[:;])?1[:;]2[:;]3m")
+
+# Begin of XTVERSION's text, lower case. WezTerm, mintty, Rio, Warp, Tabby: by their documents.
+_ITERM2_NAMES = (
+    "iterm2", "konsole", "wezterm", "xterm.js", "mlterm", "mintty", "rio", "warp", "tabby",
+)  # fmt: skip
+_ITERM2_PROGRAMS = frozenset(
+    ("iTerm.app", "WezTerm", "vscode", "mintty", "Tabby", "Hyper", "rio", "WarpTerminal")
+)
+_TRUECOLOR_NAMES = (
+    "alacritty", "contour", "foot", "ghostty", "iterm2", "kitty", "konsole", "mintty", "rio",
+    "vte", "warp", "wezterm", "xterm.js",
+)  # fmt: skip
+
+
+def split_answers(data: bytes) -> tuple[bytes, bytes]:
+    """``data`` as (answers, the rest: what somebody typed meanwhile)."""
+    return b"".join(m.group() for m in _ANSWER.finditer(data)), _ANSWER.sub(b"", data)
+
+
+def parse_answers(answers: bytes, environ: Mapping[str, str], winsize: Winsize) -> Terminal:
+    """A terminal's facts from its answers to ``QUESTIONS``, the environment and the tty's size.
+
+    A protocol counts as there only if it was confirmed: kitty prints sixel data as text, and
+    terminals without kitty graphics or OSC 1337 may print those.
+    """
+    version = _XTVERSION.search(answers)
+    said = printable(version.group(1).decode("utf-8", "replace")) if version else ""
+    mux = _multiplexer(said, environ)
+    da1 = DA1_ANSWER.search(answers)
+    attributes = da1.group(1).split(b";")[1:] if da1 else []
+    registers = _REGISTERS.search(answers)
+    geometry = _GEOMETRY.search(answers)
+    sync = _SYNCHRONIZED.search(answers)
+    terminal = Terminal(
+        colors=_colors(answers, said, mux, environ),
+        kitty=_KITTY_OK.search(answers) is not None,
+        iterm2=not mux and _has_iterm2(answers, said, environ),
+        sixel=b"4" in attributes,
+        sixel_registers=max(2, int(registers.group(1))) if registers else 256,
+        sixel_max=(int(geometry.group(1)), int(geometry.group(2))) if geometry else (0, 0),
+        synchronized=sync is not None and sync.group(1) in (b"1", b"2", b"3"),
+        name=said or _name_by_environment(environ),
+        multiplexer=mux,
+    )
+    return _sized(terminal, _with_answers(winsize, answers, environ), _cell(answers))
+
+
+def resized(terminal: Terminal, winsize: Winsize) -> Terminal:
+    """The same terminal after a resize. Its cell changes only by more than half a px.
+
+    What is less is a window's margin or rounding, see :func:`_sized`.
+    """
+    new = _sized(terminal, winsize, None)
+    if abs(new.cell_width - terminal.cell_width) <= 0.5:
+        new = replace(new, cell_width=terminal.cell_width)
+    if abs(new.cell_height - terminal.cell_height) <= 0.5:
+        new = replace(new, cell_height=terminal.cell_height)
+    return new
+
+
+def _sized(terminal: Terminal, winsize: Winsize, told: tuple[float, float] | None) -> Terminal:
+    """``terminal`` with ``winsize``; ``told`` is the cell in px, if the terminal said it.
+
+    A text area is finer than a cell in whole px (xterm.js: 867 px for 90 columns of 9.63, told
+    as 10), but Konsole's may hold its margin, too (904 px for 90 columns of 10): the smaller is
+    right. Without any px the cell stays what it was.
+    """
+    rows, columns, xpixel, ypixel = winsize
+    rows, columns = rows or terminal.rows, columns or terminal.columns
+    width, height = told or (terminal.cell_width, terminal.cell_height)
+    if xpixel >= 2 * columns and ypixel >= 2 * rows:  # web ptys often say 0, some say cells
+        area = xpixel / columns, ypixel / rows
+        width, height = (min(told[0], area[0]), min(told[1], area[1])) if told else area
+    return replace(terminal, rows=rows, columns=columns, cell_width=width, cell_height=height)
+
+
+def _with_answers(winsize: Winsize, answers: bytes, environ: Mapping[str, str]) -> Winsize:
+    """``winsize``, its gaps filled from the environment and from the text area's answer."""
+    rows, columns, xpixel, ypixel = winsize
+    rows = rows or _number(environ.get("LINES")) or 24
+    columns = columns or _number(environ.get("COLUMNS")) or 80
+    area = _AREA.search(answers)
+    if (xpixel < columns or ypixel < rows) and area:
+        ypixel, xpixel = int(area.group(1)), int(area.group(2))
+    return rows, columns, xpixel, ypixel
+
+
+def _number(text: str | None) -> int:
+    return int(text) if text and text.isdecimal() and len(text) < 5 else 0
+
+
+def _cell(answers: bytes) -> tuple[float, float] | None:
+    """Cell (width, height) in px, if the terminal said so."""
+    if (cell := _CELL.search(answers)) and int(cell.group(1)) and int(cell.group(2)):
+        return float(cell.group(2)), float(cell.group(1))
+    if report := _CELL_SIZE.search(answers):  # points; the scale makes px of them
+        try:
+            height, width, scale = (float(n) for n in report.groups(b"1"))
+        except ValueError:
+            return None
+        if 1 <= width * scale < 1e4 and 1 <= height * scale < 1e4 and isfinite(scale):
+            return width * scale, height * scale
+    return None
+
+
+def _multiplexer(said: str, environ: Mapping[str, str]) -> str:
+    """tmux, screen or nothing. A name that is neither wins over variables a window inherited."""
+    if said:
+        return "tmux" if said.startswith("tmux") else ""
+    term = environ.get("TERM", "")
+    if environ.get("TMUX") or term.startswith("tmux"):
+        return "tmux"
+    return "screen" if environ.get("STY") or term.startswith("screen") else ""
+
+
+def _name_by_environment(environ: Mapping[str, str]) -> str:
+    """A name for terminals that do not answer XTVERSION."""
+    if environ.get("TERM", "").startswith("mlterm"):
+        return "mlterm"
+    if version := environ.get("KONSOLE_VERSION"):
+        return printable(f"Konsole {version}")
+    words = environ.get("TERM_PROGRAM", ""), environ.get("TERM_PROGRAM_VERSION", "")
+    return printable(" ".join(w for w in words if w)) or printable(environ.get("LC_TERMINAL", ""))
+
+
+def _has_iterm2(answers: bytes, said: str, environ: Mapping[str, str]) -> bool:
+    """Whether OSC 1337 pictures are known to work; kitty, for one, prints them as text.
+
+    Konsole and xterm.js 6.1 answer ReportCellSize. Variables count only where the terminal did
+    not give a name: they are inherited by every window opened from such a terminal.
+    """
+    if _CELL_SIZE.search(answers):
+        return True
+    if said:
+        return said.lower().startswith(_ITERM2_NAMES)
+    return (
+        environ.get("TERM_PROGRAM") in _ITERM2_PROGRAMS
+        or environ.get("LC_TERMINAL") == "iTerm2"  # ssh passes it on
+        or environ.get("TERM", "").startswith("mlterm")
+    )
+
+
+def _colors(answers: bytes, said: str, mux: str, environ: Mapping[str, str]) -> int:
+    """How many colours SGR may show."""
+    term = environ.get("TERM", "")
+    if environ.get("NO_COLOR") or term.startswith(("vt1", "vt2")):
+        return 2
+    if term.startswith("linux"):
+        return 16  # the console, whatever COLORTERM says
+    if mux == "screen":
+        return 256 if "256color" in term else 16  # no 24-bit before GNU screen 5
+    if term.startswith("mlterm") and not said:
+        return 256  # 3.9.0 runs out of colours with 24 bits and shows speckles; 3.9.4 has a name
+    if (
+        environ.get("COLORTERM") in ("truecolor", "24bit")
+        or _TRUECOLOR_CAP.search(answers)
+        or _KEPT_COLOR.search(answers)
+        or term.endswith("-direct")
+        or said.lower().startswith(_TRUECOLOR_NAMES)
+    ):
+        return 1 << 24
+    return 256 if "256color" in term else 16

@@ -1,0 +1,372 @@
+"""A session on the terminal that leaves no trace, however it ends.
+
+Synchronized output: https://github.com/contour-terminal/vt-extensions ; modes 1049, 25, 1002 and
+1006, and DSR (``CSI 5 n``): https://invisible-island.net/xterm/ctlseqs/ctlseqs.html
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import select
+import signal
+import termios
+import threading
+import time
+from collections.abc import Mapping
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from tsplat.core.errors import TerminalError
+from tsplat.presenters.base import Terminal
+from tsplat.terminal import device
+from tsplat.terminal.answers import DA1, DA1_ANSWER, parse_answers, resized, split_answers
+from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, PROBE_SECONDS, READ_SIZE
+from tsplat.terminal.events import Decoder, Event
+
+BEGIN_UPDATE = b"\x1b[?2026h"  # BSU: unknown to some, harmless to all; Konsole has it untold
+END_UPDATE = b"\x1b[?2026l"  # ESU
+HOME = b"\x1b[H"
+CLEAR = b"\x1b[m\x1b[2J" + HOME
+HIDE_CURSOR, SHOW_CURSOR = b"\x1b[?25l", b"\x1b[?25h"
+MOUSE_ON = b"\x1b[?1002h\x1b[?1006h"  # buttons and drags, told as SGR
+MOUSE_OFF = b"\x1b[?1006l\x1b[?1002l"
+STRING_END = b"\x1b\\"  # ST
+PLAIN = b"\x1b[m"
+STATUS_REPORT = b"\x1b[5n"  # DSR, answered CSI 0 n once all before it is done
+
+ESCAPE_SECONDS = 0.05  # a lone ESC older than this is the Escape key
+FRAME_SECONDS = 1.0  # a frame nobody acknowledged is given up
+LEAVE_SECONDS = 0.15  # for what is still under way when we leave
+NUDGE_SECONDS = 0.02
+GIVE_UPS = 3  # unanswered frames in a row before we stop to ask
+
+_DEADLY = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+
+
+class Terminated(SystemExit):
+    """A deadly signal came. Goes up like SystemExit and ends the process with 128 + signal."""
+
+    def __init__(self, signum: int) -> None:
+        super().__init__(128 + signum)
+        self.signum = signum
+
+
+class Screen:
+    """The alternate screen in raw mode, cursor hidden, mouse reported; a context manager.
+
+    All is restored on normal exit, exceptions, SIGTERM, SIGHUP, SIGINT and, as a last resort, at
+    interpreter exit. A signal's handler takes note and wakes the reader; the call of this class
+    that waits, or the next one, then raises :class:`Terminated`, so that ``with`` blocks unwind;
+    a second signal raises it wherever the program is. Use it in the main thread.
+
+    ``terminal`` None: the terminal is asked on entering, within ``timeout`` s; later answers
+    still come in, as the event "terminal". ``cleanup`` is written before the screen is left; a
+    presenter's ``clear`` belongs there.
+
+    Raises:
+        TerminalError: on entering, when there is no terminal.
+    """
+
+    def __init__(
+        self,
+        fd_in: int = 0,
+        fd_out: int = 1,
+        environ: Mapping[str, str] | None = None,
+        terminal: Terminal | None = None,
+        mouse: bool = True,
+        timeout: float = PROBE_SECONDS,
+    ) -> None:
+        self.terminal = terminal or Terminal()
+        self.cleanup = b""
+        self._asked = terminal is not None
+        self._in, self._out, self._mouse, self._timeout = fd_in, fd_out, mouse, timeout
+        self._environ = os.environ if environ is None else environ
+        self._decoder = Decoder()
+        self._queue: list[Event] = []
+        self._said = b""  # answers so far, kept while the last is missing
+        self._answering = terminal is not None  # the terminal answers queries
+        self._saved: device.Attributes | None = None  # the tty's mode before us; None: not ours
+        self._pid = 0
+        self._handlers: dict[int, Any] = {}
+        self._wake: tuple[int, int] | None = None  # pipe: signal handlers write, select sees it
+        self._signal = 0  # deadly, noted
+        self._noted: set[int] = set()  # SIGWINCH, SIGTSTP, SIGCONT to be dealt with
+        self._waiting = False  # in a call that a signal may interrupt
+        self._leaving = False
+        self._unanswered = self._overdue = self._given_up = 0  # status reports
+        self._sent = self._heard = 0.0  # s, monotonic: last tracked frame, last input
+        self._nudge_at: float | None = None
+
+    # --- entering and leaving
+
+    def __enter__(self) -> Self:
+        if not device.can_show(self._in, self._out, self._environ):
+            raise TerminalError(
+                "expected a terminal as input and output, got "
+                + ("TERM=dumb" if os.isatty(self._out) else "a pipe or file")
+                + ". Write pictures to files instead, or run it in a terminal."
+            )
+        self._pid = os.getpid()
+        self._wake = os.pipe()
+        for end in self._wake:
+            os.set_blocking(end, False)
+        atexit.register(self._restore)
+        self._install_handlers()
+        try:
+            self._take()
+            if not self._asked:
+                self._ask()
+            self.terminal = resized(self.terminal, device.window_size(self._out))
+            self._set_modes()
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._restore()
+        self._remove_handlers()
+        atexit.unregister(self._restore)
+        if self._wake is not None:
+            for end in self._wake:
+                os.close(end)
+            self._wake = None
+        if self._signal and error is None:
+            raise Terminated(self._signal)
+
+    def _take(self) -> None:
+        """Raw mode and the alternate screen."""
+        self._saved = termios.tcgetattr(self._in)
+        device.set_raw(self._in)
+        device.write_all(self._out, ENTER_ALTERNATE)
+
+    def _set_modes(self) -> None:
+        device.write_all(self._out, HIDE_CURSOR + (MOUSE_ON if self._mouse else b"") + CLEAR)
+
+    def _ask(self) -> None:
+        data = device.ask(self._in, self._out, self._timeout)
+        self._said, typed = split_answers(data)
+        self._answering = DA1_ANSWER.search(self._said) is not None
+        self.terminal = parse_answers(self._said, self._environ, device.window_size(self._out))
+        self._queue += self._decoder.feed(typed)
+
+    def _restore(self) -> None:
+        """Everything as it was; harmless when it is already, and in a forked child."""
+        if self._saved is None or os.getpid() != self._pid:
+            return
+        self._leaving = True
+        saved, self._saved = self._saved, None
+        undo = END_UPDATE + STRING_END + self.cleanup + (MOUSE_OFF if self._mouse else b"")
+        undo += PLAIN + SHOW_CURSOR + LEAVE_ALTERNATE
+        try:
+            if device.write_all(self._out, undo + DA1, LEAVE_SECONDS) and self._answering:
+                device.read_answers(self._in, LEAVE_SECONDS)  # else the shell would get them
+        except OSError:
+            pass  # the terminal is gone
+        finally:
+            device.set_attributes(self._in, saved)
+            self._leaving = False
+
+    def suspend(self) -> None:
+        """Gives the terminal back and stops the process group, as Ctrl+Z does outside raw mode.
+
+        Returns when the shell continues us: then the screen is ours again, cleared, and the event
+        "resize" asks for a full redraw.
+        """
+        self._restore()
+        previous = signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+        try:
+            os.kill(0, signal.SIGTSTP)
+        finally:
+            signal.signal(signal.SIGTSTP, previous)
+        self._noted.clear()
+        self._take()
+        self._again()
+
+    def _again(self) -> None:
+        """Sets the modes and asks for a redraw: who knows what happened meanwhile."""
+        self._set_modes()
+        self._unanswered = self._overdue = 0
+        self._resize()
+
+    def _resize(self) -> None:
+        self.terminal = resized(self.terminal, device.window_size(self._out))
+        self._queue.append(Event("resize"))
+
+    # --- signals
+
+    def _install_handlers(self) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            return  # Python allows it nowhere else
+        for signum in _DEADLY:
+            if signal.getsignal(signum) is signal.SIG_IGN:
+                continue  # nohup and the like
+            self._handlers[signum] = signal.signal(signum, self._on_deadly)
+        for signum in (signal.SIGWINCH, signal.SIGTSTP, signal.SIGCONT):
+            self._handlers[signum] = signal.signal(signum, self._on_note)
+
+    def _remove_handlers(self) -> None:
+        for signum, handler in self._handlers.items():
+            signal.signal(signum, signal.SIG_DFL if handler is None else handler)
+        self._handlers.clear()
+
+    def _on_deadly(self, signum: int, frame: FrameType | None) -> None:
+        again, self._signal = bool(self._signal), signum
+        self._wake_up()
+        if not self._leaving and (again or self._waiting):
+            raise Terminated(signum)
+
+    def _on_note(self, signum: int, frame: FrameType | None) -> None:
+        self._noted.add(signum)
+        self._wake_up()
+
+    def _wake_up(self) -> None:
+        if self._wake is not None:
+            with contextlib.suppress(OSError):
+                os.write(self._wake[1], b"\0")
+
+    @contextlib.contextmanager
+    def _interruptible(self) -> Any:
+        self._waiting = True  # before the check, so that no signal falls in between
+        try:
+            if self._signal:
+                raise Terminated(self._signal)
+            yield
+        except OSError as error:
+            raise Terminated(signal.SIGHUP) from error  # EIO: the terminal is gone
+        finally:
+            self._waiting = False
+
+    # --- output
+
+    def write(self, data: bytes) -> None:
+        """All of ``data``, now.
+
+        Raises:
+            Terminated: a deadly signal came, or the terminal is gone.
+        """
+        with self._interruptible():
+            device.write_all(self._out, data)
+
+    def clear(self) -> None:
+        """Nothing on the screen, cursor at its top left. Pictures of kitty's go, too."""
+        self.write(CLEAR)
+
+    def draw(self, payload: bytes, track: bool = True) -> None:
+        """One synchronized update in one write, from the top left cell on; b"" writes nothing.
+
+        With ``track`` the terminal is asked to report when it is through: see ``busy``.
+
+        Raises:
+            Terminated: a deadly signal came, or the terminal is gone.
+        """
+        if not payload:
+            return
+        data = BEGIN_UPDATE + HOME + payload + END_UPDATE
+        now = time.monotonic()
+        if not track:
+            self.write(data)
+        elif self._answering:
+            self._unanswered, self._sent = self._unanswered + 1, now
+            self.write(data + STATUS_REPORT)
+        else:
+            self._queue.append(Event("ready"))
+            self.write(data)
+        # kitty 0.48 shows a window's first picture only when something follows after a while
+        self._nudge_at = time.monotonic() + NUDGE_SECONDS if self.terminal.kitty else None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a tracked frame is still on its way: sending more would only queue up."""
+        return self._unanswered > 0 and time.monotonic() - self._sent < FRAME_SECONDS
+
+    # --- input
+
+    def read_events(self, timeout: float | None) -> list[Event]:
+        """Events, as soon as there are any; [] after ``timeout`` s (0: do not wait; None: do).
+
+        Raises:
+            Terminated: a deadly signal came, or the terminal is gone.
+        """
+        end = None if timeout is None else time.monotonic() + timeout
+        while True:
+            with self._interruptible():
+                self._wait(0.0 if self._queue else end)
+            if self._noted:
+                self._deal_with_notes()
+            self._on_time()
+            if self._queue or (end is not None and time.monotonic() >= end):
+                events, self._queue = self._queue, []
+                return events
+
+    def _wait(self, end: float | None) -> None:
+        """Until input, a signal, ``end`` or the next thing to do by the clock."""
+        ends = [t for t in (end, self._nudge_at) if t is not None]
+        if self._unanswered:
+            ends.append(self._sent + FRAME_SECONDS)
+        if self._decoder.pending:
+            ends.append(self._heard + ESCAPE_SECONDS)
+        limit = max(0.0, min(ends) - time.monotonic()) if ends else None
+        wake = self._wake[0] if self._wake is not None else self._in
+        readable = select.select([self._in, wake], [], [], limit)[0]
+        if wake in readable and wake != self._in:
+            with contextlib.suppress(BlockingIOError):
+                os.read(wake, READ_SIZE)
+        if self._in in readable:
+            with contextlib.suppress(BlockingIOError):
+                data = os.read(self._in, READ_SIZE)
+                if not data:
+                    raise Terminated(signal.SIGHUP)
+                self._heard = time.monotonic()
+                self._take_in(self._decoder.feed(data))
+
+    def _take_in(self, events: list[Event]) -> None:
+        for event in events:
+            if event.kind != "ready":
+                self._queue.append(event)
+            elif self._overdue:
+                self._overdue -= 1  # of a frame given up
+            elif self._unanswered:
+                self._unanswered, self._given_up = self._unanswered - 1, 0
+                if not self._unanswered:
+                    self._queue.append(event)
+        if answers := bytes(self._decoder.answers):
+            self._decoder.answers.clear()
+            if not self._answering:
+                self._said += answers
+                if DA1_ANSWER.search(self._said):  # at last
+                    self._answering, size = True, device.window_size(self._out)
+                    self.terminal = parse_answers(self._said, self._environ, size)
+                    self._queue.append(Event("terminal"))
+
+    def _on_time(self) -> None:
+        now = time.monotonic()
+        if self._decoder.pending and now >= self._heard + ESCAPE_SECONDS:
+            self._queue += self._decoder.flush()
+            self._heard = now
+        if self._unanswered and now >= self._sent + FRAME_SECONDS:
+            self._overdue, self._unanswered = self._overdue + self._unanswered, 0
+            self._given_up += 1
+            self._answering = self._given_up < GIVE_UPS
+            self._queue.append(Event("ready"))
+        if self._nudge_at is not None and now >= self._nudge_at:
+            self._nudge_at = None
+            self.write(PLAIN)
+
+    def _deal_with_notes(self) -> None:
+        noted, self._noted = self._noted, set()
+        if signal.SIGTSTP in noted:
+            self.suspend()
+        elif signal.SIGCONT in noted:  # after a SIGSTOP, which nobody can catch
+            device.set_raw(self._in)
+            device.write_all(self._out, ENTER_ALTERNATE)
+            self._again()
+        elif signal.SIGWINCH in noted:
+            self._resize()
