@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from tsplat.plugins import plugins
+from tsplat.core.camera import look_at
+from tsplat.core.params import RenderParams
+from tsplat.plugins import load_backend, plugins
+from tsplat.testing.checks import Case, check_stages
 from tsplat.testing.conformance import backend_checks
+from tsplat.testing.strategies import make_scene
 
 BACKENDS = [plugins().backends[name] for name in ("numpy", "numba", "cffi")]
 
@@ -16,6 +20,17 @@ BACKENDS = [plugins().backends[name] for name in ("numpy", "numba", "cffi")]
 def test_conformance(check):
     """The backend keeps the contract in this stage."""
     check()
+
+
+@pytest.mark.parametrize("backend", BACKENDS, ids=lambda b: b.name)
+def test_many_gaussians(backend):
+    """The same on 20,000 Gaussians, where work is shared out among threads in earnest."""
+    oddities = frozenset({"equal depths", "needles", "discs", "opaque", "faint", "behind"})
+    scene = make_scene(seed=7, n=20_000, degree=3, oddities=oddities)
+    camera = look_at((0.5, -1, -4), (0, 0, 0), (0, -1, 0), 60, 150, 100)
+    case = Case(scene, camera, RenderParams(depth=True, antialias=True), threads=3)
+    for verdict in check_stages(load_backend(backend), case):
+        assert verdict.passed, verdict
 
 
 @pytest.mark.parametrize("backend", BACKENDS, ids=lambda b: b.name)

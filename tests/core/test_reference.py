@@ -153,8 +153,12 @@ def test_the_ideal_picture_has_the_tails_that_the_threshold_cuts():
     scene = gaussians([0, 0, 5], scales=0.3, opacities=0.9)
     cut, ideal = (picture(scene, camera, p) for p in (EXACT, IDEAL))
     x = grid(camera)[0] - 50.5
-    want = np.float32(0.9) * np.exp(-(x**2) / 2 / ((100 / 5 * np.float64(np.float32(0.3))) ** 2 + EPS2D))
-    np.testing.assert_allclose(1 - ideal.transmittance[0], np.where(want > 1e-12, want, 0), atol=2e-12)
+    want = np.float32(0.9) * np.exp(
+        -(x**2) / 2 / ((100 / 5 * np.float64(np.float32(0.3))) ** 2 + EPS2D)
+    )
+    np.testing.assert_allclose(
+        1 - ideal.transmittance[0], np.where(want > 1e-12, want, 0), atol=2e-12
+    )
     assert (cut.transmittance[0] == 1).sum() > (ideal.transmittance[0] == 1).sum()
 
 
@@ -245,7 +249,9 @@ def test_the_jacobian_is_held_at_the_border():
     """A Gaussian far off axis is not blown up: its slope counts as 0.3 half fields past the edge."""
     camera = straight(20, 20, 10)  # half field of view: slope 1
     scene = gaussians([50, 0, 1], scales=1.0)
-    splats = reference.project(scene, replace(camera, far=1e10), replace(EXACT, alpha_threshold=0.0))
+    splats = reference.project(
+        scene, replace(camera, far=1e10), replace(EXACT, alpha_threshold=0.0)
+    )
     assert len(splats) == 0  # it does not reach the picture
     near = reference.project(gaussians([3, 0, 1], scales=1.0), camera, EXACT)
     a1 = 10 * np.array([1, 0, -1.3])  # clamped from 3 to 1 + 0.3
@@ -258,7 +264,9 @@ def test_the_jacobian_is_held_at_the_border():
 def test_bins_list_every_tile_of_any_size_and_the_picture_stays_the_same():
     """The tile size is not part of the picture: 1, 7, 16 and 64 px give the same to 1e-12."""
     rng = np.random.default_rng(3)
-    scene = gaussians(rng.uniform(-1, 1, (60, 3)) + [0, 0, 6], scales=rng.uniform(0.01, 0.5, (60, 3)))
+    scene = gaussians(
+        rng.uniform(-1, 1, (60, 3)) + [0, 0, 6], scales=rng.uniform(0.01, 0.5, (60, 3))
+    )
     splats = reference.project(scene, straight(45, 37), EXACT)
     order = reference.sort(splats)
     frames = [
@@ -279,7 +287,9 @@ def test_depth_is_weighted_like_colour():
 def test_float32_stays_within_1e_4_of_float64():
     """The reference in float32 is a backend like any other."""
     rng = np.random.default_rng(3)
-    scene = gaussians(rng.uniform(-1, 1, (200, 3)) + [0, 0, 6], scales=rng.uniform(0.01, 0.5, (200, 3)))
+    scene = gaussians(
+        rng.uniform(-1, 1, (200, 3)) + [0, 0, 6], scales=rng.uniform(0.01, 0.5, (200, 3))
+    )
     single, double = (picture(scene, straight(64, 48), p) for p in (RenderParams(), EXACT))
     assert single.rgb.dtype == np.float32
     assert abs(single.rgb - double.rgb).max() < 1e-4

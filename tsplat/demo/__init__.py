@@ -13,7 +13,7 @@ import numpy as np
 
 from tsplat.core.camera import Camera, Orbit
 from tsplat.core.types import Scene
-from tsplat.demo import garden, land, sky
+from tsplat.demo import garden, land, rock, sky, water
 from tsplat.demo.light import Lights
 from tsplat.demo.parts import UP, join
 
@@ -26,20 +26,20 @@ def demo_scene() -> Scene:
     World axes are those of COLMAP's scenes (y down), units arbitrary: the island measures 5
     across and lies about the origin. Stars and moon are 40 away, too few to count as content.
     """
-    shape = land.rock_shape([0.0, 0.0, 0.0], 2.3, 1.45, 50, main=True)
-    spikes, out, length = land.crystals(shape)
+    shape = rock.rock_shape([0.0, 0.0, 0.0], 2.3, 1.45, 50, main=True)
+    spikes, out, length = rock.crystals(shape)
     lights = Lights(
         garden.LANTERNS, spikes + out * length[:, None], garden.CROWN, garden.CROWN_RADII
     )
     standing = join([
         garden.torii(lights), garden.gem(), garden.lanterns(), garden.tree(lights),
-        land.stones(lights), garden.petals(lights),
+        water.stones(lights), garden.petals(lights),
     ])  # fmt: skip
     everything = join([
-        sky.nebula(), sky.stars(), sky.moon(), land.rock(shape, 23000, lights, 1.45),
-        land.islets(lights), land.crystal_parts(spikes, out, length), land.vines(lights, shape),
-        land.meadow(lights), land.grass(lights), land.flowers(lights), land.water(standing),
-        land.waterfall(), standing, sky.fireflies(), sky.clouds(),
+        sky.nebula(), sky.stars(), sky.moon(), rock.rock(shape, 19000, lights, 1.45),
+        rock.islets(lights), rock.crystal_parts(spikes, out, length), rock.vines(lights, shape),
+        land.meadow(lights), land.grass(lights), land.flowers(lights), water.water(standing),
+        water.waterfall(), standing, sky.fireflies(), sky.clouds(),
     ])  # fmt: skip
     return Scene(
         everything.means, everything.quats, everything.scales, everything.opacities, everything.sh,
@@ -49,5 +49,5 @@ def demo_scene() -> Scene:
 
 def demo_camera(width: int, height: int) -> Camera:
     """The view of the pictures in the documentation: gate and waterfall in front, moon behind."""
-    orbit = Orbit(np.array([-0.08, 0.06, 0.0]), 5.5, math.radians(30), math.radians(17), UP)
+    orbit = Orbit(np.array([-0.08, 0.10, 0.0]), 5.8, math.radians(30), math.radians(16), UP)
     return orbit.camera(46, width, height)

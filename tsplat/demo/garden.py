@@ -58,7 +58,9 @@ def _wood(lights: Lights, tips: F64) -> Part:
     foot, bend = xyz(TREE[0], 0.16, TREE[1]), xyz(TREE[0] + 0.30, 0.62, TREE[1] - 0.05)
     fork = xyz(TREE[0] - 0.06, 1.02, TREE[1])
     k = len(tips)
-    start = np.concatenate([foot[None], np.repeat(fork[None], k, 0) + 0.12 * (tips - fork) * [1, 0, 1]])
+    start = np.concatenate(
+        [foot[None], np.repeat(fork[None], k, 0) + 0.12 * (tips - fork) * [1, 0, 1]]
+    )
     start[1:] += UP * np.linspace(-0.22, 0.10, k)[:, None]
     end = np.concatenate([fork[None] + 0.12 * UP, tips])
     middle = np.concatenate([bend[None], 0.5 * (start[1:] + tips) + UP * 0.10])
@@ -109,7 +111,9 @@ def _blossom(lights: Lights, centres: F64, radii: F64) -> Part:
     petals = gaussians(points, leaf, rng.uniform(0.014, 0.025, n), 0.005, 0.93, sh)
     m = 900
     core = rng.integers(0, len(centres), m)
-    inner = centres[core] + radii[core] * unit(rng.normal(size=(m, 3))) * rng.uniform(0, 0.62, (m, 1))
+    inner = centres[core] + radii[core] * unit(rng.normal(size=(m, 3))) * rng.uniform(
+        0, 0.62, (m, 1)
+    )
     dark = lights.shade(inner, unit(inner - CROWN), [0.62, 0.20, 0.40], 0.42, wrap=0.6)
     return join([blobs(inner, 0.062, 0.85, flat(dark)), petals])
 
@@ -117,7 +121,7 @@ def _blossom(lights: Lights, centres: F64, radii: F64) -> Part:
 def torii(lights: Lights) -> Part:
     """The gate in the pond: two posts, a tie beam, a black lintel with lifted ends."""
     over = UP
-    red, black = [0.92, 0.20, 0.11], [0.13, 0.11, 0.15]
+    red, black = [0.78, 0.15, 0.08], [0.13, 0.11, 0.15]
     pieces: list[tuple[F64, F64, F64, F64]] = []
 
     def add(path: tuple[F64, F64], lift: float, side: F64, up: F64, wide: float, high: float,
@@ -136,12 +140,42 @@ def torii(lights: Lights) -> Part:
         add((foot + 0.02 * UP, head), 0, ACROSS, THROUGH, 0.064, 0.064, 2, 1300, red)
         add((foot, foot + 0.12 * UP), 0, ACROSS, THROUGH, 0.088, 0.088, 2, 400, black)
     ends = 0.71 * ACROSS
-    add((GATE - ends + 1.02 * UP, GATE + ends + 1.02 * UP), 0, THROUGH, over, 0.042, 0.055, 4, 1500, red)
+    add(
+        (GATE - ends + 1.02 * UP, GATE + ends + 1.02 * UP),
+        0,
+        THROUGH,
+        over,
+        0.042,
+        0.055,
+        4,
+        1500,
+        red,
+    )
     add((GATE + 1.04 * UP, GATE + 1.28 * UP), 0, ACROSS, THROUGH, 0.06, 0.036, 6, 220, red)
     ends = 0.85 * ACROSS
-    add((GATE - ends + 1.31 * UP, GATE + ends + 1.31 * UP), 0.05, THROUGH, over, 0.058, 0.052, 4, 2200, red)
+    add(
+        (GATE - ends + 1.31 * UP, GATE + ends + 1.31 * UP),
+        0.05,
+        THROUGH,
+        over,
+        0.058,
+        0.052,
+        4,
+        2200,
+        red,
+    )
     ends = 0.94 * ACROSS
-    add((GATE - ends + 1.405 * UP, GATE + ends + 1.405 * UP), 0.08, THROUGH, over, 0.090, 0.044, 4, 3000, black)
+    add(
+        (GATE - ends + 1.405 * UP, GATE + ends + 1.405 * UP),
+        0.08,
+        THROUGH,
+        over,
+        0.090,
+        0.044,
+        4,
+        3000,
+        black,
+    )
     points, normals, size, albedo = (np.concatenate(column) for column in zip(*pieces, strict=True))
     grain = 1 + 0.10 * noise(points, 15.0, 2, 83)
     wet = 0.55 + 0.45 * smooth(0.0, 0.25, points @ UP)
@@ -158,7 +192,9 @@ def gem() -> Part:
     swirl = 1.1 * noise(normals, 1.5, 2, 84)
     sh = flat([[0.46, 0.42, 0.58]]) + 0.34 * opal(normals, swirl)
     sh += zonal_rim(normals)
-    sh += glint(normals, SUN, [0.95, 0.70, 0.50], 9.0) + glint(normals, MOON, [0.45, 0.55, 0.85], 8.0)
+    sh += glint(normals, SUN, [0.95, 0.70, 0.50], 9.0) + glint(
+        normals, MOON, [0.45, 0.55, 0.85], 8.0
+    )
     sh += glint(normals, unit([-0.3, -0.9, -0.3]), [0.35, 0.33, 0.40], 5.0)
     parts = [surfels(points, normals, 1.4 * size, sh)]
     for tilt, radius in ((0.45, 0.41),):
@@ -170,7 +206,9 @@ def gem() -> Part:
         ring = np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b
         along = -np.sin(angle)[:, None] * a + np.cos(angle)[:, None] * b
         gold = flat([0.95, 0.66, 0.26]) + glint(ring, SUN, [0.8, 0.7, 0.5], 6.0)
-        parts.append(gaussians(OPAL + radius * ring, along, 0.0055, np.pi * radius / n * 1.5, 0.85, gold))
+        parts.append(
+            gaussians(OPAL + radius * ring, along, 0.0055, np.pi * radius / n * 1.5, 0.85, gold)
+        )
     parts.append(blobs(OPAL[None], 0.30, 0.09, flat([0.62, 0.55, 1.0])))
     return join(parts)
 
@@ -187,9 +225,9 @@ def _wire(a: F64, b: F64, sag: float, t: F64) -> F64:
     return a + t[:, None] * (b - a) - UP * (4 * sag * t * (1 - t))[:, None]
 
 
-ROPE = (GATE + 0.80 * ACROSS + 1.30 * UP, xyz(TREE[0] - 0.42, 1.22, TREE[1] - 0.30), 0.26)
+ROPE = (GATE + 0.80 * ACROSS + 1.30 * UP, xyz(TREE[0] - 0.25, 1.24, TREE[1] - 0.72), 0.24)
 ROPE_AT = np.array([0.14, 0.38, 0.62, 0.86])
-HUNG = xyz([1.42, 1.10, 0.20, 0.75], [0.68, 0.80, 0.70, 0.60], [-0.12, 0.96, 0.94, -0.58])
+HUNG = xyz([1.62, 1.30, 0.42, 0.98], [0.68, 0.80, 0.70, 0.60], [-0.18, 0.90, 0.88, -0.62])
 """Lanterns that hang from the boughs."""
 
 LANTERNS = np.concatenate([_wire(*ROPE, ROPE_AT) - 0.15 * UP, HUNG])

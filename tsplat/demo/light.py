@@ -49,7 +49,7 @@ def zonal(axes: F64, colour: Callable[[F64], F64], amount: ArrayLike = 1.0) -> F
     series = _SERIES @ colour(_COSINE)
     weights = (series[_DEGREE] * _ROUND[:, None]).astype(np.float32)
     basis = sh_basis(np.atleast_2d(axes), 3) * np.atleast_1d(amount)[:, None]
-    return basis.astype(np.float32)[:, :, None] * weights
+    return np.asarray(basis.astype(np.float32)[:, :, None] * weights, np.float32)
 
 
 def lobe(axes: F64, colour: ArrayLike, sharpness: float, amount: ArrayLike = 1.0) -> F32:
@@ -120,18 +120,20 @@ class Lights:
 
     def _near(self, points: F64, normals: F64, lamps: F64, reach: float, wrap: float) -> F64:
         """Light of lamps that fades with distance and ends at 4.5 times ``reach``."""
-        total, end = np.zeros(len(points)), 4.5 * reach
+        end = 4.5 * reach
         touching = (lamps > points.min(0) - end) & (lamps < points.max(0) + end)
-        for lamp in lamps[touching.all(1)]:
-            near = np.flatnonzero(np.abs(points[:, 0] - lamp[0]) < end)
-            near = near[np.abs(points[near, 2] - lamp[2]) < end]
-            away = lamp - points[near]
-            square = np.einsum("ni,ni->n", away, away)
-            cosine = np.einsum("ni,ni->n", away, normals[near]) / np.sqrt(square + 1e-9)
+        x, y, z = np.ascontiguousarray(points.T, np.float32)
+        a, b, c = np.ascontiguousarray(normals.T, np.float32)
+        total = np.zeros(len(points), np.float32)
+        for i, j, k in lamps[touching.all(1)].tolist():
+            near = np.flatnonzero((np.abs(x - i) < end) & (np.abs(z - k) < end))
+            dx, dy, dz = i - x[near], j - y[near], k - z[near]
+            square = dx * dx + dy * dy + dz * dz
+            cosine = (dx * a[near] + dy * b[near] + dz * c[near]) / np.sqrt(square + 1e-9)
             lit = np.clip((cosine + wrap) / (1 + wrap), 0, 1)
             far = square / reach**2
             total[near] += lit * np.maximum(1 - far / 4.5**2, 0) / ((1 + far) * np.sqrt(1 + far))
-        return 1.5 * total
+        return 1.5 * total.astype(np.float64)
 
     def _shadow(self, points: F64) -> F64:
         """How deep in the shadow of the crown: an ellipsoid, made round to meet the sun's rays."""

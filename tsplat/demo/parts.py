@@ -148,7 +148,7 @@ def lattice(n: int) -> tuple[F64, F64]:
 
 
 def cover(shape: Shape, n: int) -> tuple[F64, F64, F64, F64, F64]:
-    """n points spread evenly by area over ``shape``: points, normals, size, u, v.
+    """Spreads n points evenly by area over ``shape``: points, normals, size, u, v.
 
     ``size`` is the distance to the neighbours. The normals point away from the points' middle.
     """
@@ -169,6 +169,7 @@ def cover(shape: Shape, n: int) -> tuple[F64, F64, F64, F64, F64]:
     outward = np.einsum("ni,ni->", points - points.mean(0), normals)
     density = np.interp(v, (np.arange(bands) + 0.5) / bands, area)
     size = np.sqrt(np.maximum(stretch, 0.3 * np.median(stretch)) / (n * density))
+    size = np.minimum(size, 1.7 * np.median(size))  # folds would be smeared
     return points, normals * np.sign(outward), size, u, v
 
 

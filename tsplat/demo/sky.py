@@ -5,7 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from tsplat.demo.light import MOON, SUN, flat, lobe
-from tsplat.demo.parts import Part, blobs, cover, join, mix, noise, smooth, sphere, surfels, unit, xyz
+from tsplat.demo.parts import (
+    Part,
+    blobs,
+    cover,
+    join,
+    mix,
+    noise,
+    smooth,
+    sphere,
+    surfels,
+    unit,
+    xyz,
+)
 
 FAR = 42.0
 
@@ -37,7 +49,9 @@ def moon() -> Part:
     points, normals, size, _, _ = cover(sphere(centre, [2.3] * 3), 1300)
     seas = smooth(-0.6, 1.0, noise(normals, 3.3, 4, 85))
     rgb = mix([1.0, 0.96, 0.88], [0.70, 0.68, 0.74], seas)
-    halo = blobs(np.repeat(centre[None], 2, 0), np.array([3.0, 6.0]), [0.22, 0.10], flat([0.55, 0.6, 0.9]))
+    halo = blobs(
+        np.repeat(centre[None], 2, 0), np.array([3.0, 6.0]), [0.22, 0.10], flat([0.55, 0.6, 0.9])
+    )
     return join([halo, surfels(points, normals, size, flat(rgb))])
 
 

@@ -1,6 +1,6 @@
 """iTerm2's inline images (https://iterm2.com/documentation-images.html).
 
-JPEG, because these are moving pictures: a 640x360 frame takes 1 ms to encode and some 70 kB, a
+JPEG, because these are moving pictures: a 640x360 frame takes 2 ms to encode and some 65 kB, a
 PNG 12 ms and 370 kB, and Konsole shows a JPEG in 4 ms, a PNG in 29. Both formats are understood
 everywhere; nothing is gained from PNG but exactness, for which there is kitty's protocol.
 """
@@ -15,7 +15,8 @@ from tsplat.presenters.base import Presenter, Terminal, changed
 
 OSC = b"\x1b]"  # Operating System Command
 BEL = b"\x07"  # ends it; older terminals know no ST here
-QUALITY = 90
+QUALITY = 85
+FULL_COLOR = 0  # no chroma subsampling: 36.4 dB in 63 kB; quality 90 with it 32.9 dB in 65 kB
 
 
 def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
@@ -34,7 +35,7 @@ def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     if not changed(image, previous):
         return b""
     file = BytesIO()
-    Image.fromarray(image).save(file, "JPEG", quality=QUALITY)
+    Image.fromarray(image).save(file, "JPEG", quality=QUALITY, subsampling=FULL_COLOR)
     data = file.getvalue()
     keys = b"inline=1;size=%d;width=%dpx;height=%dpx;doNotMoveCursor=1" % (
         len(data),

@@ -10,6 +10,9 @@
 
 #include "constants.h"
 
+/* Waking threads costs some 10 us, more on a busy machine: less work than this stays on one. */
+enum { WORTH = 8192 };
+
 enum { TILE = TSPLAT_TILE, RECORD = TSPLAT_RECORD, CHUNK = TSPLAT_CHUNK, RADIX = TSPLAT_RADIX };
 
 int tsplat_has_openmp(void) {
@@ -144,7 +147,8 @@ int tsplat_project(const tsplat_scene *scene, const tsplat_camera *camera,
     if ((params->sh_degree + 1) * (params->sh_degree + 1) > scene->coefficients)
         return TSPLAT_BAD_SIZE;
     double threshold = max_(params->alpha_threshold, ALPHA_FLOOR);
-#pragma omp parallel for schedule(dynamic, 1) num_threads(threads) reduction(+ : visible, overflowed)
+#pragma omp parallel for schedule(dynamic, 1) num_threads(threads) if (n > WORTH) \
+    reduction(+ : visible, overflowed)
     for (int64_t c = 0; c < chunks; c++) {
         int64_t end = min64(n, (c + 1) * CHUNK);
         float *out = scratch + c * CHUNK * RECORD;
@@ -167,7 +171,7 @@ int tsplat_gather(const float *scratch, const int32_t *chunk_counts, int64_t gau
     int64_t chunks = (gaussians + CHUNK - 1) / CHUNK, total = 0;
     for (int64_t c = 0; c < chunks; c++) total += chunk_counts[c];
     if (total != splats->count || threads < 1) return TSPLAT_BAD_SIZE;
-#pragma omp parallel num_threads(threads)
+#pragma omp parallel num_threads(threads) if (total > WORTH)
     {
         int part = 0, parts = 1;
 #ifdef _OPENMP
@@ -206,7 +210,7 @@ int tsplat_sort(const float *depths, int64_t count, int32_t *order, uint64_t *sc
     }
     for (int shift = 32; shift < 64; shift += 11) {
         memset(histograms, 0, sizeof(uint32_t) * RADIX * threads);
-#pragma omp parallel for schedule(static, 1) num_threads(threads)
+#pragma omp parallel for schedule(static, 1) num_threads(threads) if (count > WORTH)
         for (int t = 0; t < threads; t++) {
             uint32_t *h = histograms + (int64_t)t * RADIX;
             for (int64_t i = count * t / threads; i < count * (t + 1) / threads; i++)
@@ -224,7 +228,7 @@ int tsplat_sort(const float *depths, int64_t count, int32_t *order, uint64_t *sc
             if (at - start > most) most = at - start;
         }
         if (most == count) continue; /* one digit for all: nothing to do */
-#pragma omp parallel for schedule(static, 1) num_threads(threads)
+#pragma omp parallel for schedule(static, 1) num_threads(threads) if (count > WORTH)
         for (int t = 0; t < threads; t++) {
             uint32_t *h = histograms + (int64_t)t * RADIX;
             for (int64_t i = count * t / threads; i < count * (t + 1) / threads; i++)
@@ -258,7 +262,7 @@ int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int64_t 
     int64_t tiles = across * down, m = splats->count;
     int bad = 0;
     if (tiles < 1 || m < 0 || m > INT32_MAX || threads < 1) return TSPLAT_BAD_SIZE;
-#pragma omp parallel for schedule(static, 1) num_threads(threads) reduction(| : bad)
+#pragma omp parallel for schedule(static, 1) num_threads(threads) if (m > WORTH) reduction(| : bad)
     for (int t = 0; t < threads; t++) {
         int64_t *counts = cursors + t * tiles;
         memset(counts, 0, sizeof *counts * tiles);
@@ -290,7 +294,7 @@ int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, int64_t *
                     int32_t *splat_ids, int threads) {
     int64_t across = (splats->width + TILE - 1) / TILE, down = (splats->height + TILE - 1) / TILE;
     int64_t tiles = across * down, m = splats->count;
-#pragma omp parallel for schedule(static, 1) num_threads(threads)
+#pragma omp parallel for schedule(static, 1) num_threads(threads) if (m > WORTH)
     for (int t = 0; t < threads; t++) {
         int64_t *cursor = cursors + t * tiles;
         for (int64_t i = m * t / threads; i < m * (t + 1) / threads; i++) {

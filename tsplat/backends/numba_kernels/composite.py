@@ -40,7 +40,7 @@ ROUND = np.float32(12582912)  # 1.5 * 2^23: adding it rounds to the nearest inte
 MOST = np.float32(ALPHA_MAX)
 E0, E1, E2, E3, E4, E5, E6 = (np.float32(c) for c in EXP2_POLY)
 ALMOST = np.float32(0.999)
-FAR_LEFT, FAR_RIGHT = np.float32(-64), np.float32(64)
+NOWHERE, SPAN_END = np.float32(-64), np.float32(SIDE)
 WIDTH = np.float32(BLOCK_W)
 
 
@@ -76,49 +76,55 @@ def _half_span(dy: float, slope: float, reach: float, shear: float, inverse: flo
     room = reach - v * v
     half = math.sqrt(room if room > ZERO else ZERO) * inverse
     half += SPAN_PAD + SPAN_SLACK * (half + abs(shear * dy))
-    return FAR_LEFT if room < ZERO else half
+    return NOWHERE if room < ZERO else half
 
 
 @kernel
-def _spans(batch: F32, j: int, x0: int, y0: int, columns: int, spans: I32) -> None:
-    """First and last block of every row of blocks that the splat may reach; first > last: none.
+def _reached_blocks(
+    batch: F32, count: int, x0: int, y0: int, columns: int, open_blocks: int, masks: I64
+) -> None:
+    """For ``count`` splats, which of a patch's blocks they may reach, one bit each.
 
     On one row of pixels ``w`` runs linearly through 0 at ``shear * dy``.
     """
-    mean_x = batch[j, MEAN_X] - (np.float32(x0) + HALF)
-    mean_y = batch[j, MEAN_Y] - (np.float32(y0) + HALF)
-    slope, reach = batch[j, U22] * np.float32(UNIT), batch[j, REACH]
-    shear, inverse = batch[j, SHEAR], batch[j, INVERSE]
+    corner_x, corner_y = np.float32(x0) + HALF, np.float32(y0) + HALF
     end = np.float32(columns - 1)
-    for s in range(DOWN):
-        dy = np.float32(s * BLOCK_H) - mean_y
-        half = _half_span(dy, slope, reach, shear, inverse)
-        below = _half_span(dy + ONE, slope, reach, shear, inverse)
-        at = mean_x + shear * dy
-        low, high = at - half, at + half
-        at += shear
-        left = low if low < at - below else at - below
-        right = high if high > at + below else at + below
-        left = left if left > ZERO else ZERO
-        left = left if left < FAR_RIGHT else FAR_RIGHT
-        right = right if right < end else end
-        right = right if right > -ONE else -ONE
-        none = half < ZERO and below < ZERO
-        spans[s] = np.int32(ACROSS) if none else np.int32(left + ALMOST) >> 2
-        spans[DOWN + s] = (np.int32(right + WIDTH) >> 2) - 1
+    for j in range(count):
+        mean_x, mean_y = batch[j, MEAN_X] - corner_x, batch[j, MEAN_Y] - corner_y
+        slope, reach = batch[j, U22] * np.float32(UNIT), batch[j, REACH]
+        shear, inverse = batch[j, SHEAR], batch[j, INVERSE]
+        mask = np.int32(0)
+        for s in range(DOWN):
+            dy = np.float32(s * BLOCK_H) - mean_y
+            half = _half_span(dy, slope, reach, shear, inverse)
+            below = _half_span(dy + ONE, slope, reach, shear, inverse)
+            at = mean_x + shear * dy
+            low, high = at - half, at + half
+            at += shear
+            left = low if low < at - below else at - below
+            right = high if high > at + below else at + below
+            left = left if left > ZERO else ZERO
+            left = left if left < SPAN_END else SPAN_END
+            right = right if right < end else end
+            right = right if right > -ONE else -ONE
+            first = np.int32(left + ALMOST) >> 2  # ALMOST up, so that a span's end is not lost
+            after = np.int32(right + WIDTH) >> 2
+            none = first >= after or (half < ZERO and below < ZERO)
+            run = np.int32(((1 << after) - (1 << first)) << (s * ACROSS))
+            mask = np.int32(mask | (np.int32(0) if none else run))
+        masks[j] = mask & open_blocks  # which also drops the sign's extension
 
 
 @kernel
-def _open_blocks(state: F32, opened: U8) -> bool:
-    """Notes which blocks have a pixel that is not stopped; False if none has."""
-    found = False
+def _open_blocks(state: F32) -> int:
+    """Which blocks have a pixel that is not stopped, one bit each."""
+    mask = 0
     for block in range(BLOCKS):
         some = False
         for lane in range(LANES):
             some |= state[block, T, lane] > ZERO
-        opened[block] = some
-        found |= some
-    return found
+        mask |= np.int64(some) << block
+    return mask
 
 
 @kernel
@@ -133,8 +139,7 @@ def composite_patches(
     """
     state = np.empty((BLOCKS, 5, LANES), np.float32)
     batch = np.empty((BATCH, RECORD), np.float32)
-    spans = np.empty(2 * DOWN, np.int32)
-    opened = np.empty(BLOCKS, np.uint8)
+    masks = np.empty(BATCH, np.int64)
     floor, stopped = np.float32(math.log2(threshold)), np.float32(stop)
     tiles_across = (width + tile_size - 1) // tile_size
     parts = (tile_size + SIDE - 1) // SIDE  # patches across one tile
@@ -154,7 +159,8 @@ def composite_patches(
                 state[block, T, lane] = ONE if inside else -ONE  # -1: stopped from the start
         begin, end = offsets[tile], offsets[tile + 1]
         for start in range(begin, end, BATCH):
-            if not _open_blocks(state, opened):
+            open_blocks = _open_blocks(state)
+            if not open_blocks:
                 break
             count = min(BATCH, end - start)
             for j in range(count):  # by themselves, so that their cache misses overlap
@@ -163,10 +169,8 @@ def composite_patches(
                     return False
                 for f in range(RECORD):
                     batch[j, f] = records[k, f]
+            _reached_blocks(batch, count, x0, y0, columns, open_blocks, masks)
             for j in range(count):
-                if not batch[j, REACH] > ZERO:
-                    continue
-                _spans(batch, j, x0, y0, columns, spans)
                 # Where terms cancel, in float64; the steps between lanes are small.
                 wide_x, wide_y = UNIT * np.float64(batch[j, U11]), UNIT * np.float64(batch[j, U12])
                 wide_v = UNIT * np.float64(batch[j, U22])
@@ -176,38 +180,40 @@ def composite_patches(
                 z = batch[j, DEPTH]
                 dx0 = x0 + 0.5 - np.float64(batch[j, MEAN_X])
                 dy0 = y0 + 0.5 - np.float64(batch[j, MEAN_Y])
-                for s in range(DOWN):
-                    dy = dy0 + s * BLOCK_H
+                mask = masks[j]
+                while mask:
+                    # The lowest bit's number is its float's exponent.
+                    lowest = np.float32(mask & -mask)
+                    mask &= mask - 1
+                    block = np.uint64((np.float32(lowest).view(np.int32) >> 23) - 127)
+                    dx = dx0 + np.int64(block) % ACROSS * BLOCK_W
+                    dy = dy0 + np.int64(block) // ACROSS * BLOCK_H
+                    w0 = np.float32(wide_x * dx + wide_y * dy)
                     v0 = np.float32(wide_v * dy)
-                    for b in range(spans[s], spans[DOWN + s] + 1):
-                        block = np.uint64(s * ACROSS + b)
-                        if not opened[block]:
-                            continue
-                        w0 = np.float32(wide_x * (dx0 + b * BLOCK_W) + wide_y * dy)
-                        for lane in range(LANES):
-                            lane_x = np.float32(lane % BLOCK_W)
-                            lane_y = np.float32(lane // BLOCK_W)
-                            w = w0 + (step_x * lane_x + step_y * lane_y)
-                            v = v0 + step_v * lane_y
-                            x = level - (w * w + v * v)
-                            shifted = x + ROUND
-                            f = x - (shifted - ROUND)
-                            e = E0 + f * (E1 + f * (E2 + f * (E3 + f * (E4 + f * (E5 + f * E6)))))
-                            power = np.float32(shifted).view(np.int32) << 23
-                            bits = np.float32(e).view(np.int32) + power
-                            alpha = np.int32(bits).view(np.float32)
-                            alpha = alpha if alpha < MOST else MOST
-                            alpha = alpha if x >= floor else ZERO
-                            t = state[block, T, lane]
-                            after = t * (ONE - alpha)
-                            drawn = after > stopped
-                            weight = t * alpha if drawn else ZERO
-                            state[block, T, lane] = after if drawn else -abs(t)
-                            state[block, R, lane] += weight * red
-                            state[block, G, lane] += weight * green
-                            state[block, B, lane] += weight * blue
-                            if want_depth:
-                                state[block, Z, lane] += weight * z
+                    for lane in range(LANES):
+                        lane_x = np.float32(lane % BLOCK_W)
+                        lane_y = np.float32(lane // BLOCK_W)
+                        w = w0 + (step_x * lane_x + step_y * lane_y)
+                        v = v0 + step_v * lane_y
+                        x = level - (w * w + v * v)
+                        shifted = x + ROUND
+                        f = x - (shifted - ROUND)
+                        e = E0 + f * (E1 + f * (E2 + f * (E3 + f * (E4 + f * (E5 + f * E6)))))
+                        power = np.float32(shifted).view(np.int32) << 23
+                        bits = np.float32(e).view(np.int32) + power
+                        alpha = np.int32(bits).view(np.float32)
+                        alpha = alpha if alpha < MOST else MOST
+                        alpha = alpha if x >= floor else ZERO
+                        t = state[block, T, lane]
+                        after = t * (ONE - alpha)
+                        drawn = after > stopped
+                        weight = t * alpha if drawn else ZERO
+                        state[block, T, lane] = after if drawn else -abs(t)
+                        state[block, R, lane] += weight * red
+                        state[block, G, lane] += weight * green
+                        state[block, B, lane] += weight * blue
+                        if want_depth:
+                            state[block, Z, lane] += weight * z
         for y in range(rows):
             for x in range(columns):
                 block = y // BLOCK_H * ACROSS + x // BLOCK_W

@@ -96,15 +96,35 @@ def project_chunks(
             scale_x, scale_y = fx * inverse, fy * inverse
 
             # Rows of J R: what one unit along each world axis is on the image plane.
-            j00, j01, j02 = scale_x * (r00 - u * r20), scale_x * (r01 - u * r21), scale_x * (r02 - u * r22)
-            j10, j11, j12 = scale_y * (r10 - v * r20), scale_y * (r11 - v * r21), scale_y * (r12 - v * r22)
+            j00, j01, j02 = (
+                scale_x * (r00 - u * r20),
+                scale_x * (r01 - u * r21),
+                scale_x * (r02 - u * r22),
+            )
+            j10, j11, j12 = (
+                scale_y * (r10 - v * r20),
+                scale_y * (r11 - v * r21),
+                scale_y * (r12 - v * r22),
+            )
             qw, qx = np.float64(quats[i, 0]), np.float64(quats[i, 1])
             qy, qz = np.float64(quats[i, 2]), np.float64(quats[i, 3])
             s0, s1 = np.float64(scales[i, 0]), np.float64(scales[i, 1])
             s2 = np.float64(scales[i, 2])
-            t00, t01, t02 = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qw * qz), 2 * (qx * qz + qw * qy)
-            t10, t11, t12 = 2 * (qx * qy + qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qw * qx)
-            t20, t21, t22 = 2 * (qx * qz - qw * qy), 2 * (qy * qz + qw * qx), 1 - 2 * (qx * qx + qy * qy)
+            t00, t01, t02 = (
+                1 - 2 * (qy * qy + qz * qz),
+                2 * (qx * qy - qw * qz),
+                2 * (qx * qz + qw * qy),
+            )
+            t10, t11, t12 = (
+                2 * (qx * qy + qw * qz),
+                1 - 2 * (qx * qx + qz * qz),
+                2 * (qy * qz - qw * qx),
+            )
+            t20, t21, t22 = (
+                2 * (qx * qz - qw * qy),
+                2 * (qy * qz + qw * qx),
+                1 - 2 * (qx * qx + qy * qy),
+            )
             a10 = s0 * (j00 * t00 + j01 * t10 + j02 * t20)
             a11 = s1 * (j00 * t01 + j01 * t11 + j02 * t21)
             a12 = s2 * (j00 * t02 + j01 * t12 + j02 * t22)
@@ -181,7 +201,11 @@ def gather_chunks(
         for j in range(counts[chunk]):
             i, k = chunk * CHUNK + j, starts[chunk] + j
             means2d[k, 0], means2d[k, 1] = scratch[i, 0], scratch[i, 1]
-            factors[k, 0], factors[k, 1], factors[k, 2] = scratch[i, 2], scratch[i, 3], scratch[i, 4]
+            factors[k, 0], factors[k, 1], factors[k, 2] = (
+                scratch[i, 2],
+                scratch[i, 3],
+                scratch[i, 4],
+            )
             depths[k], opacities[k] = scratch[i, 5], scratch[i, 6]
             colors[k, 0], colors[k, 1], colors[k, 2] = scratch[i, 7], scratch[i, 8], scratch[i, 9]
             radii[k, 0], radii[k, 1] = scratch[i, 10], scratch[i, 11]

@@ -86,9 +86,7 @@ def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Works
             *runs[i], scratch, scratch_ids, counts, starts, *arrays.values()
         ),
     )  # fmt: skip
-    return Splats(
-        **arrays, width=camera.width, height=camera.height, overflowed=sum(overflowed)
-    )
+    return Splats(**arrays, width=camera.width, height=camera.height, overflowed=sum(overflowed))
 
 
 def sort(splats: Splats, workspace: Workspace) -> I32:
