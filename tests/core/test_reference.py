@@ -246,7 +246,7 @@ def test_the_factor_inverts_a_needles_covariance(length, angle):
 
 
 def test_the_jacobian_is_held_at_the_border():
-    """A Gaussian far off axis is not blown up: its slope counts as 0.3 half fields past the edge."""
+    """A Gaussian far off axis is not blown up: its slope ends 0.3 half fields past the edge."""
     camera = straight(20, 20, 10)  # half field of view: slope 1
     scene = gaussians([50, 0, 1], scales=1.0)
     splats = reference.project(

@@ -17,8 +17,8 @@ from tsplat.core.workspace import Workspace
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"means": np.zeros((2, 3))}, r"Scene.means: expected C-contiguous float32 \[N, 3\], got float64 \[2, 3\]"),
-        ({"quats": np.zeros((3, 4), np.float32)}, r"Scene.quats: expected .* \[2, 4\], got float32 \[3, 4\].*w, x, y, z"),
+        ({"means": np.zeros((2, 3))}, r"Scene.means: .* float32 \[N, 3\], got float64 \[2, 3\]"),
+        ({"quats": np.zeros((3, 4), np.float32)}, r"\[2, 4\], got float32 \[3, 4\].*w, x, y, z"),
         ({"scales": np.zeros((3, 2), np.float32).T}, "not contiguous"),
         ({"opacities": [0.5, 0.5]}, "got list"),
         ({"sh": np.zeros((2, 5, 3), np.float32)}, "1, 4, 9 or 16"),
@@ -48,7 +48,9 @@ def test_a_background_shows_through_what_is_transparent():
     assert over.rgb.dtype == np.float32
 
 
-@pytest.mark.parametrize("bad", [{"sh_degree": 4}, {"alpha_threshold": 1.0}, {"transmittance_min": float("nan")}])  # fmt: skip
+@pytest.mark.parametrize(
+    "bad", [{"sh_degree": 4}, {"alpha_threshold": 1.0}, {"transmittance_min": float("nan")}]
+)
 def test_settings_outside_their_range_are_refused(bad):
     """A setting that no picture can be made with is an error at once."""
     with pytest.raises(ParamsError, match=next(iter(bad))):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,5 +152,5 @@ class Frame:
 
     def to_uint8(self) -> U8:
         """``floor(clip(rgb, 0, 1) * 255 + 0.5)``, [H, W, 3]; the background counts as black."""
-        scaled = np.asarray(np.clip(self.rgb, 0, 1) * 255 + 0.5)  # a Python float keeps float32
-        return scaled.astype(np.uint8)
+        clipped: NDArray[Any] = np.clip(self.rgb, 0, 1)
+        return np.asarray(clipped * 255 + 0.5).astype(np.uint8)  # Python's numbers keep float32

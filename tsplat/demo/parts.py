@@ -71,7 +71,8 @@ def unit(v: ArrayLike) -> F64:
 
 def smooth(edge0: float, edge1: float, x: ArrayLike) -> F64:
     """0 before ``edge0``, 1 after ``edge1``, with a soft passage."""
-    t = np.clip((np.asarray(x, np.float64) - edge0) / (edge1 - edge0), 0, 1)
+    t = (np.asarray(x, np.float64) - edge0) * (1 / (edge1 - edge0))
+    t = np.minimum(np.maximum(t, 0), 1)
     return np.asarray(t * t * (3 - 2 * t), np.float64)
 
 

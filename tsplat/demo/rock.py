@@ -30,7 +30,7 @@ from tsplat.demo.parts import (
 def rock_shape(centre: ArrayLike, wide: float, deep: float, seed: int, main: bool = False) -> Shape:
     """A cone of layered rock that hangs from a rim (v = 0) to its tip (v = 1)."""
     at = np.asarray(centre, np.float64)
-    turns = np.linspace(0, 1, 257)
+    turns = np.linspace(0, 1, 257 if main else 2)
     edges = rim(2 * np.pi * turns)
     tops = ground_height(edges * np.cos(2 * np.pi * turns), edges * np.sin(2 * np.pi * turns))
 
@@ -42,7 +42,7 @@ def rock_shape(centre: ArrayLike, wide: float, deep: float, seed: int, main: boo
         flank = ring * (1.2 * (1 - v))[:, None] - 2.2 * UP * v[:, None]
         layer = 6.0 * v + 1.5 * noise(flank, 1.1, 1, seed + 1)
         layer -= np.floor(layer)
-        ledge = 0.09 * np.minimum(layer / 0.65, (1 - layer) / 0.35) - 0.04
+        ledge = 0.09 * smooth(0, 1, np.minimum(layer / 0.6, (1 - layer) / 0.4)) - 0.04
         craggy = 0.13 * (0.6 - np.abs(noise(flank, 3.4, 3, seed + 2)))
         thin = (1 - v**1.5) ** 0.95
         radius = edge * thin * (1 + (ledge + craggy) * smooth(0, 0.08, v) * (1 - v))
@@ -82,7 +82,7 @@ def islets(lights: Lights) -> Part:
     ):
         at = xyz(x, height, z)
         parts.append(rock(rock_shape(at, wide, deep, seed), int(5200 * wide), lights, deep))
-        lawn, normals, size, _, _ = cover(sphere(at, [wide * 0.97, 0.13 * wide, wide * 0.97]), 900)
+        lawn, normals, size, _, _ = cover(sphere(at, [wide * 0.97, 0.13 * wide, wide * 0.97]), 700)
         parts.append(surfels(lawn, normals, size, flat(
             lights.shade(lawn, normals, meadow_colour(lawn), 0.9))))  # fmt: skip
         rng = np.random.default_rng(seed)

@@ -40,7 +40,7 @@ def water(garden: Part) -> Part:
     seen = (((garden.means * [1, -1, 1] - BASIN) / (0.96 * BASIN_RADII)) ** 2).sum(1) < 1
     parts.append(mirrored(garden.take(seen & (garden.means[:, 1] < -0.004)), [0.80, 0.84, 0.95]))
 
-    x, z = disc(21000)
+    x, z = disc(17000)
     edge = to_water(x, z)
     x, z, edge = x[edge < 0.01], z[edge < 0.01], edge[edge < 0.01]
     at = xyz(x, 0, z)
@@ -55,7 +55,7 @@ def water(garden: Part) -> Part:
     sh = flat(rgb) + glint(normals, SUN, [0.80, 0.46, 0.20], 7.0)
     sh += glint(normals, MOON, [0.30, 0.42, 0.70], 7.0)
     opacity = 0.22 + 0.8 * smooth(0.72, 0.98, brook) + 0.15 * smooth(-0.06, 0.0, edge)
-    parts.append(gaussians(at, normals, 0.026, 0.003, np.minimum(opacity, 0.97), sh))
+    parts.append(gaussians(at, normals, 0.029, 0.003, np.minimum(opacity, 0.97), sh))
     return join(parts)
 
 
@@ -90,7 +90,7 @@ def stones(lights: Lights) -> Part:
     spots = shore[to_water(*shore.T) > -0.06]
     radius = rng.uniform(0.045, 0.11, len(spots))
     flatness = rng.uniform(0.5, 0.8, len(spots))
-    ball, normals, size, _, _ = cover(sphere([0, 0, 0], [1, 1, 1]), 260)
+    ball, normals, size, _, _ = cover(sphere([0, 0, 0], [1, 1, 1]), 200)
     radii = radius[:, None] * np.stack(
         [np.ones_like(flatness), flatness, np.ones_like(flatness)], 1
     )

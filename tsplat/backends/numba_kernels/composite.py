@@ -7,12 +7,13 @@ blocks where one of its rows can reach the alpha threshold.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from tsplat.backends.numba_kernels.jit import kernel
 from tsplat.core.constants import ALPHA_MAX, EXP2_POLY
-from tsplat.core.types import F32, I32, I64, U8
+from tsplat.core.types import F32, I32, I64
 
 RECORD = 16  # floats per splat: one cache line
 SIDE = 16  # px, of a patch
@@ -70,11 +71,11 @@ def pack_splats(
 
 
 @kernel
-def _half_span(dy: float, slope: float, reach: float, shear: float, inverse: float) -> float:
+def _half_span(dy: Any, slope: Any, reach: Any, shear: Any, inverse: Any) -> Any:
     """Half the interval of x where ``w^2 <= reach - v^2``, padded; negative where there is none."""
     v = slope * dy
     room = reach - v * v
-    half = math.sqrt(room if room > ZERO else ZERO) * inverse
+    half: Any = math.sqrt(room if room > ZERO else ZERO) * inverse
     half += SPAN_PAD + SPAN_SLACK * (half + abs(shear * dy))
     return NOWHERE if room < ZERO else half
 
@@ -93,7 +94,7 @@ def _reached_blocks(
         mean_x, mean_y = batch[j, MEAN_X] - corner_x, batch[j, MEAN_Y] - corner_y
         slope, reach = batch[j, U22] * np.float32(UNIT), batch[j, REACH]
         shear, inverse = batch[j, SHEAR], batch[j, INVERSE]
-        mask = np.int32(0)
+        mask: Any = np.int32(0)
         for s in range(DOWN):
             dy = np.float32(s * BLOCK_H) - mean_y
             half = _half_span(dy, slope, reach, shear, inverse)
@@ -118,13 +119,13 @@ def _reached_blocks(
 @kernel
 def _open_blocks(state: F32) -> int:
     """Which blocks have a pixel that is not stopped, one bit each."""
-    mask = 0
+    mask: Any = 0
     for block in range(BLOCKS):
         some = False
         for lane in range(LANES):
             some |= state[block, T, lane] > ZERO
         mask |= np.int64(some) << block
-    return mask
+    return int(mask)
 
 
 @kernel
@@ -185,9 +186,9 @@ def composite_patches(
                     # The lowest bit's number is its float's exponent.
                     lowest = np.float32(mask & -mask)
                     mask &= mask - 1
-                    block = np.uint64((np.float32(lowest).view(np.int32) >> 23) - 127)
-                    dx = dx0 + np.int64(block) % ACROSS * BLOCK_W
-                    dy = dy0 + np.int64(block) // ACROSS * BLOCK_H
+                    cell: Any = np.uint64((np.float32(lowest).view(np.int32) >> 23) - 127)
+                    dx = dx0 + np.int64(cell) % ACROSS * BLOCK_W
+                    dy = dy0 + np.int64(cell) // ACROSS * BLOCK_H
                     w0 = np.float32(wide_x * dx + wide_y * dy)
                     v0 = np.float32(wide_v * dy)
                     for lane in range(LANES):
@@ -196,6 +197,8 @@ def composite_patches(
                         w = w0 + (step_x * lane_x + step_y * lane_y)
                         v = v0 + step_v * lane_y
                         x = level - (w * w + v * v)
+                        # alpha = 2^x = 2^n 2^f; n, the last bits of shifted, goes to e's exponent.
+                        # Garbage below x = -126, where alpha is 0 by the threshold anyway.
                         shifted = x + ROUND
                         f = x - (shifted - ROUND)
                         e = E0 + f * (E1 + f * (E2 + f * (E3 + f * (E4 + f * (E5 + f * E6)))))
@@ -204,16 +207,16 @@ def composite_patches(
                         alpha = np.int32(bits).view(np.float32)
                         alpha = alpha if alpha < MOST else MOST
                         alpha = alpha if x >= floor else ZERO
-                        t = state[block, T, lane]
+                        t = state[cell, T, lane]
                         after = t * (ONE - alpha)
                         drawn = after > stopped
                         weight = t * alpha if drawn else ZERO
-                        state[block, T, lane] = after if drawn else -abs(t)
-                        state[block, R, lane] += weight * red
-                        state[block, G, lane] += weight * green
-                        state[block, B, lane] += weight * blue
+                        state[cell, T, lane] = after if drawn else -abs(t)
+                        state[cell, R, lane] += weight * red
+                        state[cell, G, lane] += weight * green
+                        state[cell, B, lane] += weight * blue
                         if want_depth:
-                            state[block, Z, lane] += weight * z
+                            state[cell, Z, lane] += weight * z
         for y in range(rows):
             for x in range(columns):
                 block = y // BLOCK_H * ACROSS + x // BLOCK_W

@@ -19,7 +19,7 @@ from numba.core import event
 _F = TypeVar("_F", bound=Callable[..., Any])
 _R = TypeVar("_R")
 
-OPTIONS = {
+OPTIONS: dict[str, Any] = {
     "nogil": True,
     # In words: off. It would let LLVM fuse and reorder sums, but depths must have the same bits
     # in every backend (their order and ties follow from them), and NaN tests must stay tests.
@@ -36,13 +36,13 @@ def kernel(function: _F) -> _F:
     imports does: after an edit of ``core/constants.py``, touch the kernels.
     """
     try:
-        compiled = numba.njit(cache=True, **OPTIONS)(function)
+        compiled: Any = numba.njit(cache=True, **OPTIONS)(function)
     except RuntimeError:  # nowhere to write a cache: compile in every process
         compiled = numba.njit(**OPTIONS)(function)
     return cast(_F, compiled)
 
 
-class _Notice(event.Listener):  # type: ignore[misc]  # numba is untyped
+class _Notice(event.Listener):
     """Says once, on a terminal, why the first frame takes seconds."""
 
     said = False
@@ -61,7 +61,7 @@ class _Notice(event.Listener):  # type: ignore[misc]  # numba is untyped
         """Nothing to say."""
 
 
-event.register("numba:compile", _Notice())
+cast(Any, event).register("numba:compile", _Notice())
 
 _pools: dict[int, ThreadPoolExecutor] = {}
 if hasattr(os, "register_at_fork"):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsplat.backends.numba_kernels import composite as pixels
 from tsplat.backends.numba_kernels import order as lists
@@ -14,7 +16,7 @@ from tsplat.core.camera import Camera
 from tsplat.core.constants import ALPHA_FLOOR, CLAMP_MARGIN
 from tsplat.core.errors import KernelError, check_array
 from tsplat.core.params import RenderParams
-from tsplat.core.types import F64, I32, Bins, Frame, Scene, Splats
+from tsplat.core.types import F64, I32, I64, Bins, Frame, Scene, Splats
 from tsplat.core.workspace import Workspace
 
 TILE_SIZE_MAX = 64
@@ -32,11 +34,15 @@ _SPLAT_ARRAYS: tuple[tuple[str, tuple[int, ...], type], ...] = (
 _FEW = 1 << 14  # rows that are not worth a second thread
 
 
-def _check(splats: Splats) -> None:
-    for name, shape, dtype in _SPLAT_ARRAYS:
-        check_array(f"Splats.{name}", getattr(splats, name), dtype, (len(splats), *shape))
+def _arrays(splats: Splats) -> dict[str, Any]:
+    """Its arrays, checked."""
     if splats.width < 1 or splats.height < 1:
         raise KernelError(f"Splats: expected a picture, got {splats.width}x{splats.height}")
+    m = len(splats)
+    return {
+        name: check_array(f"Splats.{name}", getattr(splats, name), dtype, (m, *shape))
+        for name, shape, dtype in _SPLAT_ARRAYS
+    }
 
 
 def _runs(count: int, pieces: int) -> list[tuple[int, int]]:
@@ -89,39 +95,43 @@ def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Works
     return Splats(**arrays, width=camera.width, height=camera.height, overflowed=sum(overflowed))
 
 
+def _place_digit(
+    shift: int, pairs: NDArray[np.uint64], out: NDArray[np.uint64], runs: list[tuple[int, int]],
+    histograms: I64,
+) -> bool:  # fmt: skip
+    """Sorts ``pairs`` by one digit into ``out``; False if all have the same, and nothing moved."""
+    threads = len(runs)
+    spread(
+        threads, threads, lambda i: lists.count_digits(*runs[i], pairs, shift, histograms[i])
+    )  # fmt: skip
+    if lists.first_places(histograms) == len(pairs):
+        return False
+    spread(
+        threads, threads, lambda i: lists.place_pairs(*runs[i], pairs, shift, histograms[i], out)
+    )  # fmt: skip
+    return True
+
+
 def sort(splats: Splats, workspace: Workspace) -> I32:
     """See :class:`tsplat.core.stages.Sort`."""
     m = len(splats)
-    depths = check_array("Splats.depths", splats.depths, np.float32, (m,))
+    bits = check_array("Splats.depths", splats.depths, np.float32, (m,)).view(np.uint32)
     threads = workspace.threads if m > _FEW else 1
-    runs, bits = _runs(m, threads), depths.view(np.uint32)
+    runs = _runs(m, threads)
     order: I32 = workspace.array("numba.order", (m,), np.int32)
     pairs, spare = workspace.array("numba.pairs", (2, m), np.uint64)
-    histograms = workspace.array("numba.histograms", (threads, lists.RADIX), np.int64)
+    histograms: I64 = workspace.array("numba.histograms", (threads, lists.RADIX), np.int64)
     spread(threads, threads, lambda i: lists.make_pairs(*runs[i], bits, pairs))
     for shift in lists.SHIFTS:
-        spread(
-            threads, threads,
-            lambda i, pairs=pairs, shift=shift: lists.count_digits(
-                *runs[i], pairs, shift, histograms[i]
-            ),
-        )  # fmt: skip
-        if lists.first_places(histograms) == m:
-            continue  # one digit for all: nothing to do
-        spread(
-            threads, threads,
-            lambda i, pairs=pairs, shift=shift, spare=spare: lists.place_pairs(
-                *runs[i], pairs, shift, histograms[i], spare
-            ),
-        )  # fmt: skip
-        pairs, spare = spare, pairs
+        if _place_digit(shift, pairs, spare, runs, histograms):
+            pairs, spare = spare, pairs
     spread(threads, threads, lambda i: lists.take_rows(*runs[i], pairs, order))
     return order
 
 
 def bin(splats: Splats, order: I32, workspace: Workspace) -> Bins:
     """See :class:`tsplat.core.stages.Bin`."""
-    _check(splats)
+    arrays = _arrays(splats)
     m, size = len(splats), lists.TILE
     check_array("order", order, np.int32, (m,))
     threads = workspace.threads if m > _FEW else 1
@@ -133,7 +143,7 @@ def bin(splats: Splats, order: I32, workspace: Workspace) -> Bins:
     good = spread(
         threads, threads,
         lambda i: lists.count_tiles(
-            *runs[i], order, splats.means2d, splats.radii, width, height, boxes, slots[i]
+            *runs[i], order, arrays["means2d"], arrays["radii"], width, height, boxes, slots[i]
         ),
     )  # fmt: skip
     if not all(good):
@@ -149,14 +159,16 @@ def bin(splats: Splats, order: I32, workspace: Workspace) -> Bins:
 
 def composite(splats: Splats, bins: Bins, params: RenderParams, workspace: Workspace) -> Frame:
     """See :class:`tsplat.core.stages.Composite`."""
-    _check(splats)
+    arrays = _arrays(splats)
     m, height, width, size = len(splats), splats.height, splats.width, bins.tile_size
     threads = workspace.threads
     if not 1 <= size <= TILE_SIZE_MAX:
         raise KernelError(f"composite: expected tiles of 1 to {TILE_SIZE_MAX} px, got {size}")
     tiles = -(-width // size) * -(-height // size)
-    offsets = check_array("Bins.tile_offsets", bins.tile_offsets, np.int64, (tiles + 1,))
-    ids = check_array("Bins.splat_ids", bins.splat_ids, np.int32, (int(bins.tile_offsets[-1]),))
+    offsets: Any = check_array("Bins.tile_offsets", bins.tile_offsets, np.int64, (tiles + 1,))
+    ids: Any = check_array(
+        "Bins.splat_ids", bins.splat_ids, np.int32, (int(bins.tile_offsets[-1]),)
+    )
     if offsets[0] != 0 or (np.diff(offsets) < 0).any():
         raise KernelError("composite: Bins.tile_offsets must start at 0 and never fall")
     # Extents end at the floor where there is no threshold.
@@ -169,8 +181,8 @@ def composite(splats: Splats, bins: Bins, params: RenderParams, workspace: Works
     spread(
         threads, threads,
         lambda i: pixels.pack_splats(
-            *rows[i], threshold, splats.means2d, splats.factors, splats.depths, splats.opacities,
-            splats.colors, records,
+            *rows[i], threshold, arrays["means2d"], arrays["factors"], arrays["depths"],
+            arrays["opacities"], arrays["colors"], records,
         ),
     )  # fmt: skip
     patches = tiles * (-(-size // pixels.SIDE)) ** 2

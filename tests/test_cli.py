@@ -1,0 +1,339 @@
+"""The command line through its real entry point, as a script would call it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.conftest import ROOT, gaussians, straight
+from tsplat.core import reference
+from tsplat.core.params import RenderParams
+from tsplat.io.cameras import camera_to_json
+
+CAMERA = straight(64, 48, 50.0)
+
+
+def tsplat(*words, code=0, **kwargs):
+    """Runs the installed program; its result, with the exit code checked."""
+    program = shutil.which("tsplat", path=str(Path(sys.executable).parent))
+    command = [program] if program else [sys.executable, "-m", "tsplat"]
+    result = subprocess.run(
+        [*command, *map(str, words)], capture_output=True, cwd=kwargs.pop("cwd", ROOT),
+        timeout=120, stdin=subprocess.DEVNULL, check=False, **kwargs,
+    )  # fmt: skip
+    assert result.returncode == code, result.stderr.decode()
+    assert b"Traceback" not in result.stderr
+    return result
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Gaussians whose values a PLY keeps to the bit through exp and sigmoid of simple numbers."""
+    rng = np.random.default_rng(4)
+    return gaussians(
+        rng.normal((0, 0, 6), 0.7, (300, 3)), scales=rng.uniform(0.02, 0.3, (300, 3)),
+        opacities=rng.uniform(0.05, 0.95, 300), sh=rng.normal(0, 0.3, (300, 4, 3)),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def ply(scene, tmp_path_factory):
+    """The scene as INRIA's trainer would write it."""
+    names = "x y z f_dc_0 f_dc_1 f_dc_2".split() + [f"f_rest_{i}" for i in range(9)]
+    names += "opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
+    rest = scene.sh[:, 1:].transpose(0, 2, 1).reshape(len(scene), 9)  # channel-major
+    logits = np.log(scene.opacities / (1 - scene.opacities))[:, None]
+    table = np.hstack([
+        scene.means, scene.sh[:, 0], rest, logits, np.log(scene.scales), scene.quats
+    ]).astype("<f4")  # fmt: skip
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(scene)}"]
+    header += [f"property float {name}" for name in names] + ["end_header", ""]
+    path = tmp_path_factory.mktemp("scenes") / "scene.ply"
+    path.write_bytes("\n".join(header).encode() + table.tobytes())
+    return path
+
+
+@pytest.fixture(scope="module")
+def camera_file(ply):
+    """Two cameras; the second is twice as large."""
+    path = ply.with_name("cameras.json")
+    path.write_text(json.dumps([camera_to_json(c) for c in (CAMERA, CAMERA.resized(128, 96))]))
+    return path
+
+
+def test_render_png_is_the_references_picture(scene, ply, camera_file, tmp_path):
+    """The file's 8-bit pixels are the reference's, to one level where rounding differs."""
+    out = tmp_path / "out.png"
+    tsplat("render", ply, "-o", out, "--camera", camera_file)
+    got = np.asarray(Image.open(out)).astype(int)
+    want = reference.render(scene, CAMERA, RenderParams(float64=True)).to_uint8().astype(int)
+    assert got.shape == (48, 64, 3)
+    assert want.max() > 100
+    assert abs(got - want).max() <= 1
+    assert (got != want).mean() < 0.01
+
+
+@pytest.mark.parametrize("backend", ["numpy", "numba", "cffi", "project=numba,composite=cffi"])
+def test_render_npy_is_premultiplied_rgba(scene, ply, camera_file, tmp_path, backend):
+    """.npy: float32 [H, W, 4], alpha = 1 - T, no background, from whichever backend."""
+    out = tmp_path / "out.npy"
+    tsplat("render", ply, "-o", out, "--camera", f"{camera_file}#0", "--backend", backend,
+           "--background", "1,0,0")  # fmt: skip
+    got = np.load(out)
+    assert got.dtype == np.float32
+    want = reference.render(scene, CAMERA, RenderParams(float64=True))
+    np.testing.assert_allclose(got[..., :3], want.rgb, atol=5e-4)
+    np.testing.assert_allclose(got[..., 3], 1 - want.transmittance, atol=5e-4)
+
+
+def test_render_npz_has_depth_and_the_camera(ply, camera_file, tmp_path):
+    """.npz: rgb, transmittance, depth and the camera, which --size has scaled."""
+    out = tmp_path / "out.npz"
+    tsplat("render", ply, "-o", out, "--camera", f"{camera_file}#1", "--size", "64x48", "--near", 1)
+    with np.load(out) as got:
+        np.testing.assert_array_equal(got["K"], CAMERA.K)
+        np.testing.assert_array_equal(got["viewmat"], CAMERA.viewmat)
+        assert got["near"] == 1
+        covered = 1 - got["transmittance"]
+        middle = covered > 0.5
+        depth = got["depth"][middle] / covered[middle]
+    assert middle.any()
+    assert 3 < depth.min() < depth.max() < 9
+
+
+def test_render_to_stdout_is_png(ply, camera_file):
+    """-o - writes PNG bytes and nothing else to stdout."""
+    result = tsplat("render", ply, "-o", "-", "--camera", camera_file)
+    assert result.stdout.startswith(b"\x89PNG")
+    assert result.stdout.rstrip().endswith(b"IEND\xaeB`\x82")
+
+
+def test_ideal_differs_from_the_contract_by_its_thresholds(ply, camera_file, tmp_path):
+    """--ideal has no thresholds, --float64 has them: close, but not the same."""
+    pictures = []
+    for flag in ("--ideal", "--float64"):
+        tsplat("render", ply, "-o", tmp_path / "x.npy", "--camera", camera_file, flag)
+        pictures.append(np.load(tmp_path / "x.npy"))
+    gap = abs(pictures[0] - pictures[1]).max()
+    assert 1e-5 < gap < 0.05
+
+
+def test_render_json_has_the_promised_keys(ply, camera_file, tmp_path):
+    """One object on stdout; times are minima over the repeats, medians beside them."""
+    result = tsplat("render", ply, "-o", tmp_path / "x.png", "--camera", camera_file, "--repeat", 3,
+                    "--threads", 1, "--backend", "cffi", "--json")  # fmt: skip
+    facts = json.loads(result.stdout)
+    stages = ("project", "sort", "bin", "composite")
+    assert facts["backend"] == dict.fromkeys(stages, "cffi")
+    assert (facts["threads"], facts["width"], facts["height"]) == (1, 64, 48)
+    assert facts["gaussians"] == 300
+    assert facts["dropped"] == {}
+    assert 0 < facts["visible"] <= 300
+    assert facts["intersections"] > 0
+    assert set(facts["seconds"]) == {"load", "total", *stages}
+    assert set(facts["seconds_median"]) == {"total", *stages}
+    assert facts["seconds"]["total"] <= facts["seconds_median"]["total"]
+    assert {"what", "why", "effect"} == set(facts["left_out"][0])
+
+
+def test_a_pose_may_be_given_in_numbers(ply, tmp_path):
+    """--eye, --target, --up with leading minus signs work without an equals sign."""
+    out = tmp_path / "x.npz"
+    tsplat("render", ply, "-o", out, "--size", "33x17", "--fov", 40,
+           "--eye", "-1,-2,-3", "--target", "-0.5,0,6", "--up", "-.1,-1,0")  # fmt: skip
+    with np.load(out) as got:
+        viewmat = got["viewmat"]
+        np.testing.assert_allclose(-viewmat[:3, :3].T @ viewmat[:3, 3], (-1, -2, -3), atol=1e-12)
+        np.testing.assert_allclose(got["K"][1, 1], 17 / 2 / np.tan(np.radians(20)))
+        assert got["rgb"].shape == (17, 33, 3)
+
+
+def test_max_splats_keeps_an_even_sample(ply, tmp_path):
+    """N rows are kept and the rest are counted."""
+    result = tsplat("render", ply, "-o", tmp_path / "x.png", "--max-splats", 100, "--json")
+    facts = json.loads(result.stdout)
+    assert facts["gaussians"] == 100
+    assert sum(facts["dropped"].values()) == 200
+
+
+def test_info_describes_the_file(ply):
+    """Count, degree, bounds and plan, as JSON and as text."""
+    facts = json.loads(tsplat("info", ply, "--json").stdout)
+    assert facts["gaussians"] == 300
+    assert facts["sh_degree"] == 1
+    assert facts["backend"]["sort"] == "cffi"
+    text = tsplat("info", ply).stdout.decode()
+    assert "300" in text
+    assert "content" in text
+
+
+def test_plugins_lists_what_is_installed():
+    """The promised shape, with every built-in available here."""
+    facts = json.loads(tsplat("plugins", "--json").stdout)
+    rows = {row["name"]: row for row in facts["backends"]}
+    assert {"numpy", "numba", "cffi"} <= set(rows)
+    for name in ("numpy", "numba", "cffi"):
+        assert set(rows[name]) == {
+            "name", "summary", "stages", "available", "reason", "distribution",
+        }  # fmt: skip
+        assert rows[name]["available"] is True
+        assert rows[name]["stages"] == ["project", "sort", "bin", "composite"]
+    assert {"kitty", "iterm2", "sixel", "halfblock"} <= {r["name"] for r in facts["presenters"]}
+    assert b"halfblock" in tsplat("plugins").stdout
+
+
+def test_check_proves_every_backend(ply, camera_file):
+    """All checks of all three backends hold on the scene, and each is told."""
+    facts = json.loads(tsplat("check", ply, "--camera", camera_file, "--json").stdout)
+    assert facts["passed"] is True
+    told = {(c["backend"], c["check"]) for c in facts["checks"]}
+    checks = ("project", "sort", "bin", "composite", "picture", "bits")
+    assert told == {(b, c) for b in ("numpy", "numba", "cffi") for c in checks}
+    table = tsplat("check", ply, "--backend", "cffi", "--size", "40x30").stdout.decode()
+    assert table.count("holds") == 6
+
+
+BROKEN = """
+from tsplat import Backend, Stages, hookimpl
+import numpy as np
+
+def sort(splats, workspace):
+    return np.arange(len(splats), dtype=np.int32)
+
+@hookimpl
+def tsplat_backends():
+    return [Backend("unsorted", "does not sort", lambda: Stages(sort=sort), stages=("sort",))]
+"""
+
+
+def test_check_exits_1_when_the_contract_is_broken(ply, camera_file, tmp_path):
+    """A plugin that does not sort is found out, named, and fails the command."""
+    (tmp_path / "unsorted_plugin.py").write_text(BROKEN)
+    info = tmp_path / "unsorted-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: unsorted\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[tsplat]\nunsorted = unsorted_plugin\n")
+    result = tsplat(
+        "check", ply, "--camera", camera_file, "--backend", "unsorted", code=1,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )  # fmt: skip
+    assert b"BROKEN" in result.stdout
+    assert b"places differ" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("view", "SCENE"), "`tsplat render SCENE -o out.png`"),
+        (("SCENE",), "tsplat view needs a terminal"),
+        (("render", "missing.ply", "-o", "x.png"), "missing.ply: no such file"),
+        (("render", "SCENE", "-o", "x.bmp"), ".png"),
+        (("render", "SCENE", "-o", "nowhere/x.png"), "nowhere"),
+        (("render", "SCENE", "-o", "x.png", "--backend", "nunba"), "installed: cffi, numba, numpy"),
+        (("render", "SCENE", "-o", "x.png", "--camera", "CAMERAS#7"), "2"),
+        (("render", "SCENE", "-o", "x.png", "--camera", "CAMERAS", "--fov", "3"), "--fov"),
+        (("render", "SCENE", "-o", "x.png", "--fov", "190"), "190"),
+        (("render", "SCENE", "-o", "x.png", "--near", "5", "--far", "2"), "near < far"),
+        (("render", "SCENE", "-o", "x.png", "--size", "99999x99999"), "pixels"),
+        (("render", "SCENE", "-o", "-", "--json"), "stdout"),
+        (("check", "SCENE", "--backend", "gpu"), "no backend named 'gpu'"),
+        (("info", "."), "is a directory"),
+    ],
+)
+def test_errors_are_one_line_and_exit_1(words, text, ply, camera_file, tmp_path):
+    """What is wrong and what to do, on stderr, without a traceback; no file is left behind."""
+    names = {"SCENE": str(ply), "CAMERAS": str(camera_file)}
+    swapped = [w.replace("CAMERAS", names["CAMERAS"]) if "CAMERAS" in w else names.get(w, w)
+               for w in words]  # fmt: skip
+    result = tsplat(*swapped, code=1, cwd=tmp_path)
+    error = result.stderr.decode()
+    assert text in error
+    assert error.startswith("tsplat: ")
+    assert error.count("\n") == 1
+    assert not list(tmp_path.glob("x.*"))
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("rendr",), "did you mean 'render'"),
+        (("render", "--size", "12"), "WIDTHxHEIGHT"),
+        (("render", "-o", "x.png", "--eye", "1,2"), "three numbers"),
+        (("render", "-o", "x.png", "--background", "255,0,0"), "0 to 1"),
+        (("render", "-o", "x.png", "--threads", "0"), "from 1 on"),
+        (("render",), "-o"),
+        (("view", "--sh-degree", "4"), "invalid choice"),
+    ],
+)
+def test_usage_errors_exit_2(words, text):
+    """A wrong word on the command line is a usage error that names what was expected."""
+    assert text in tsplat(*words, code=2).stderr.decode()
+
+
+def test_help_shows_examples_and_is_quick_to_import():
+    """Every command has help with examples; --help imports neither NumPy nor a kernel."""
+    assert b"tsplat render scene.ply -o out.png" in tsplat("--help").stdout
+    assert b"keys:" in tsplat("view", "--help").stdout
+    code = (
+        "import sys; from tsplat.cli import make_parser; make_parser(); print(sorted(sys.modules))"
+    )
+    listed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    for heavy in ("'numpy'", "'numba'", "'rich'", "'PIL'", "'plyfile'", "'pluggy'", "'shtab'"):
+        assert heavy not in listed.stdout
+
+
+def test_rendering_with_the_c_kernel_imports_nothing_optional(ply, tmp_path):
+    """No numba, no hypothesis, no matplotlib, no rich: only what the job needs."""
+    code = (
+        "import sys; from tsplat.cli import main; "
+        f"main(['render', {str(ply)!r}, '-o', {str(tmp_path / 'x.png')!r}, '--size', '32x24']); "
+        "print(sorted(m for m in sys.modules if '.' not in m))"
+    )
+    listed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert "'numpy'" in listed.stdout
+    for heavy in ("'numba'", "'llvmlite'", "'matplotlib'", "'hypothesis'", "'rich'", "'torch'"):
+        assert heavy not in listed.stdout
+
+
+def test_completion_scripts_are_printed():
+    """A script for each shell, which knows the commands."""
+    for shell in ("bash", "zsh", "tcsh"):
+        assert b"render" in tsplat("--print-completion", shell).stdout
+
+
+def test_without_a_scene_the_demo_is_rendered(tmp_path):
+    """The built-in scene needs no file and is worth a picture."""
+    out = tmp_path / "demo.png"
+    facts = json.loads(tsplat("render", "-o", out, "--size", "160x90", "--json").stdout)
+    assert facts["gaussians"] > 10_000
+    assert np.asarray(Image.open(out)).std() > 10
+
+
+def test_the_version_comes_from_one_place():
+    """The installed metadata, the module and the program agree."""
+    from importlib.metadata import version
+
+    from tsplat import __version__
+
+    assert tsplat("--version").stdout.decode().split() == ["tsplat", __version__]
+    assert version("tsplat") == __version__
+
+
+def test_a_closed_pipe_is_no_error_message(ply):
+    """`tsplat info | head -0` ends quietly."""
+    program = [sys.executable, "-m", "tsplat", "info", str(ply), "--json"]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT) as p:
+        p.stdout.close()
+        assert p.stderr.read() == b""
