@@ -49,9 +49,37 @@ _HOMES = {
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
-__all__ = [  # noqa: PLE0604, RUF022 - one list, in _HOMES
+__all__ = [
+    "IDEAL",
+    "Backend",
+    "Bins",
+    "Camera",
+    "Counts",
+    "Fly",
+    "Frame",
+    "Orbit",
+    "Plan",
+    "Presenter",
+    "ReadOptions",
+    "Reader",
+    "RenderParams",
+    "Scene",
+    "Splats",
+    "Stages",
+    "Terminal",
+    "TsplatError",
+    "Workspace",
     "__version__",
-    *sorted(_HOME),
+    "demo_scene",
+    "frame_scene",
+    "hookimpl",
+    "load_cameras",
+    "load_scene",
+    "look_at",
+    "make_plan",
+    "render",
+    "save_image",
+    "scene_from_arrays",
 ]
 
 
