@@ -13,6 +13,11 @@ def size(terminal: Terminal) -> tuple[int, int]:
     return terminal.columns, max(1, terminal.rows - 1)
 
 
+def pixel(terminal: Terminal) -> tuple[float, float]:
+    """A pixel is a whole cell, which is not square."""
+    return terminal.cell_width, terminal.cell_height
+
+
 def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     """Row by row; CR LF goes to the next line in raw mode too."""
     level = frame.to_uint8() @ LUMA
@@ -20,6 +25,16 @@ def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     return b"\r\n".join(row.tobytes() for row in cells)
 
 
+ASCII = Presenter(
+    name="ascii",
+    summary="characters, no colour",
+    encode=encode,
+    size=size,
+    unsupported=lambda terminal: None,  # or why this terminal cannot show it
+    pixel=pixel,
+)
+
+
 @hookimpl
 def tsplat_presenters() -> list[Presenter]:
-    return [Presenter("ascii", "characters, no colour", encode, size, lambda terminal: None)]
+    return [ASCII]

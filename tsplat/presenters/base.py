@@ -40,6 +40,10 @@ def _nothing(terminal: Terminal) -> bytes:
     return b""
 
 
+def _square(terminal: Terminal) -> tuple[float, float]:
+    return 1.0, 1.0
+
+
 @dataclass(frozen=True)
 class Presenter:
     """A way to show a frame: one row of the table that ``tsplat plugins`` prints.
@@ -55,6 +59,7 @@ class Presenter:
     encode: Callable[[Frame, Terminal, Frame | None], bytes]
     size: Callable[[Terminal], tuple[int, int]]  # px (width, height) worth rendering
     unsupported: Callable[[Terminal], str | None]  # None, or why this terminal cannot show it
+    pixel: Callable[[Terminal], tuple[float, float]] = _square  # screen px that one px covers
     clear: Callable[[Terminal], bytes] = _nothing  # takes the picture away again
     rank: int = -1  # "auto" takes the highest that is supported
 

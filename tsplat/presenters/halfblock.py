@@ -166,6 +166,7 @@ HALFBLOCK = Presenter(
     encode=encode,
     size=size,
     unsupported=unsupported,
+    pixel=lambda terminal: (terminal.cell_width, terminal.cell_height / 2),
     rank=10,
 )
 

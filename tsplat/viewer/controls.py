@@ -44,13 +44,11 @@ class View:
     quit: bool = False
     grip: tuple[int, int] | None = None  # cell where a drag was last seen
 
-    def camera(self, terminal: Terminal, size: tuple[int, int]) -> Camera:
-        """The camera for a picture of ``size`` px that fills the terminal's area.
-
-        Its pixels are as square or oblong as the presenter's: half cells are not square.
-        """
+    def camera(self, size: tuple[int, int], pixel: tuple[float, float]) -> Camera:
+        """The camera for a picture of ``size`` px, each as wide and high on screen as ``pixel``."""
         near, far = clip_planes(self.orbit.distance)
-        return self.orbit.camera(self.fov, *terminal.pixels, near, far).resized(*size)
+        width, height = (max(1, round(n * unit)) for n, unit in zip(size, pixel, strict=True))
+        return self.orbit.camera(self.fov, width, height, near, far).resized(*size)
 
     def spun(self, seconds: float) -> View:
         """The view after that long of auto-orbit."""

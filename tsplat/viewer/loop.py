@@ -87,7 +87,8 @@ class Viewer:
             self._screen.clear()
         size = self._presenter.size(terminal)
         self._workspaces.reverse()
-        rendered = self._plan.run(self._scene, view.camera(terminal, size), self._workspaces[0])
+        camera = view.camera(size, self._presenter.pixel(terminal))
+        rendered = self._plan.run(self._scene, camera, self._workspaces[0])
         frame = rendered.frame.over(self._background)
         begin = time.perf_counter()
         try:

@@ -1,0 +1,88 @@
+"""The viewer in a pseudo-terminal, for tests to type into and read from."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import select
+import struct
+import subprocess
+import sys
+import termios
+import time
+
+from tests.conftest import ROOT
+
+COLUMNS, ROWS = 60, 20
+LEAVE = b"\x1b[?1049l"
+CELL = "▀".encode()
+DSR = b"\x1b[5n"
+
+
+class Session:
+    """The program on a pty whose other end answers as a plain 24-bit terminal would."""
+
+    def __init__(self, *words, python=sys.executable):
+        self.master, slave = pty.openpty()
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("4H", ROWS, COLUMNS, 0, 0))
+        self.before = termios.tcgetattr(slave)
+        self.slave = slave
+        environment = {**os.environ, "TERM": "xterm-256color", "COLORTERM": "truecolor"}
+        self.process = subprocess.Popen(
+            [python, "-m", "tsplat", "view", *words], stdin=slave, stdout=slave,
+            stderr=subprocess.PIPE, cwd=ROOT, env=environment, start_new_session=True,
+        )  # fmt: skip
+        self.output = b""
+        self.answered = 0
+
+    def pump(self, done, seconds=30.0):
+        """Reads and answers until ``done()``."""
+        deadline = time.monotonic() + seconds
+        while not done():
+            assert time.monotonic() < deadline, self.output[-400:]
+            if select.select([self.master], [], [], 0.05)[0]:
+                try:
+                    self.output += os.read(self.master, 65536)
+                except OSError:
+                    break
+            asked = re.findall(rb"\x1b\[5n|\x1b\[c", self.output)
+            for question in asked[self.answered :]:
+                os.write(self.master, b"\x1b[0n" if question == DSR else b"\x1b[?62;22c")
+            self.answered = len(asked)
+
+    def frames(self):
+        """Pictures asked to be acknowledged so far."""
+        return self.output.count(DSR)
+
+    def press(self, keys):
+        """Types."""
+        os.write(self.master, keys)
+
+    def send(self, keys):
+        """Types, and waits for the next frame."""
+        frames = self.frames()
+        self.press(keys)
+        self.pump(lambda: self.frames() > frames)
+
+    def end(self, code):
+        """Waits for the exit; its code and that the terminal is as it was."""
+        self.pump(lambda: self.process.poll() is not None)
+        self.pump(lambda: not select.select([self.master], [], [], 0.1)[0])
+        error = self.process.stderr.read()
+        assert self.process.returncode == code, error
+        assert b"Traceback" not in error
+        assert termios.tcgetattr(self.slave) == self.before
+        tail = self.output[self.output.rindex(LEAVE) - 60 :]
+        for undo in (b"\x1b[?2026l", b"\x1b[?1002l", b"\x1b[?25h", LEAVE):
+            assert undo in tail, undo
+
+    def close(self):
+        """Leaves nothing behind, however the test went."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self.process.stderr.close()
+        os.close(self.master)
+        os.close(self.slave)
