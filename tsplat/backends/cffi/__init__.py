@@ -28,9 +28,14 @@ def cannot(scene: Scene, params: RenderParams) -> str | None:
 
 
 def load() -> Stages:
-    """The four stages in C."""
-    from tsplat.backends.cffi import wrap
+    """The four stages in C, on the instruction set that ``TSPLAT_ISA`` names or the best there is.
 
+    Raises:
+        PluginError: ``TSPLAT_ISA`` names one that this CPU or build does not offer.
+    """
+    from tsplat.backends.cffi import isa, wrap
+
+    isa.use_environment()
     return Stages(project=wrap.project, sort=wrap.sort, bin=wrap.bin, composite=wrap.composite)
 
 

@@ -48,7 +48,7 @@ def make_ffi(compile_args: list[str], link_args: list[str]) -> Any:
         '#include "kernel.h"',
         sources=[(here / "kernel.c").as_posix()],
         include_dirs=[here.as_posix()],
-        depends=[(here / name).as_posix() for name in ("kernel.h", "constants.h")],
+        depends=[(here / name).as_posix() for name in sorted(p.name for p in HERE.glob("*.h"))],
         extra_compile_args=compile_args,
         extra_link_args=link_args,
     )

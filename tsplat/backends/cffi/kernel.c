@@ -244,20 +244,22 @@ int tsplat_sort(const float *depths, int64_t count, int32_t *order, uint64_t *sc
 
 /* --- bin ------------------------------------------------------------------------------------ */
 
-typedef struct { int32_t x0, y0, x1, y1; } box; /* inclusive; empty where x0 > x1 */
-
-/* Tiles whose pixel centres the splat's box holds. */
-static inline box tile_box(const tsplat_splats *s, int32_t k) {
-    double mx = s->means2d[2 * (int64_t)k], my = s->means2d[2 * (int64_t)k + 1];
-    double rx = s->radii[2 * (int64_t)k], ry = s->radii[2 * (int64_t)k + 1];
-    double x0 = max_(ceil(mx - rx - 0.5), 0), x1 = min_(floor(mx + rx - 0.5), s->width - 1);
-    double y0 = max_(ceil(my - ry - 0.5), 0), y1 = min_(floor(my + ry - 0.5), s->height - 1);
-    if (!(x0 <= x1 && y0 <= y1)) return (box){0, 0, -1, -1};
-    return (box){(int32_t)x0 / TILE, (int32_t)y0 / TILE, (int32_t)x1 / TILE, (int32_t)y1 / TILE};
+/* First and last tile that hold a pixel centre within low..high (px) of a side of size pixels;
+ * first > last where there is none. */
+static inline void tile_span(double low, double high, int32_t size, int32_t *first, int32_t *last) {
+    double from = max_(low - 0.5, 0), to = min_(high - 0.5, size - 1);
+    if (!(from <= to)) {
+        *first = 0, *last = -1;
+        return;
+    }
+    int32_t pixel = (int32_t)from;
+    pixel += pixel < from; /* the next centre, if not on one */
+    *first = pixel / TILE;
+    *last = pixel <= (int32_t)to ? (int32_t)to / TILE : -1;
 }
 
-int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int64_t *tile_offsets,
-                     int64_t *cursors, int threads) {
+int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int32_t *boxes,
+                     int64_t *tile_offsets, int64_t *cursors, int threads) {
     int64_t across = (splats->width + TILE - 1) / TILE, down = (splats->height + TILE - 1) / TILE;
     int64_t tiles = across * down, m = splats->count;
     int bad = 0;
@@ -267,13 +269,18 @@ int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int64_t 
         int64_t *counts = cursors + t * tiles;
         memset(counts, 0, sizeof *counts * tiles);
         for (int64_t i = m * t / threads; i < m * (t + 1) / threads; i++) {
-            if (order[i] < 0 || order[i] >= m) {
+            int64_t k = order[i];
+            if (k < 0 || k >= m) {
                 bad = 1;
                 break;
             }
-            box b = tile_box(splats, order[i]);
-            for (int32_t y = b.y0; y <= b.y1; y++)
-                for (int32_t x = b.x0; x <= b.x1; x++) counts[y * across + x]++;
+            double x = splats->means2d[2 * k], y = splats->means2d[2 * k + 1];
+            double rx = splats->radii[2 * k], ry = splats->radii[2 * k + 1];
+            int32_t *box = boxes + 4 * i;
+            tile_span(x - rx, x + rx, splats->width, box, box + 2);
+            tile_span(y - ry, y + ry, splats->height, box + 1, box + 3);
+            for (int32_t v = box[1]; v <= box[3]; v++)
+                for (int32_t u = box[0]; u <= box[2]; u++) counts[v * across + u]++;
         }
     }
     if (bad) return TSPLAT_BAD_ID;
@@ -290,17 +297,18 @@ int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int64_t 
     return 0;
 }
 
-int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, int64_t *cursors,
-                    int32_t *splat_ids, int threads) {
+int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, const int32_t *boxes,
+                    int64_t *cursors, int32_t *splat_ids, int threads) {
     int64_t across = (splats->width + TILE - 1) / TILE, down = (splats->height + TILE - 1) / TILE;
     int64_t tiles = across * down, m = splats->count;
 #pragma omp parallel for schedule(static, 1) num_threads(threads) if (m > WORTH)
     for (int t = 0; t < threads; t++) {
         int64_t *cursor = cursors + t * tiles;
         for (int64_t i = m * t / threads; i < m * (t + 1) / threads; i++) {
-            box b = tile_box(splats, order[i]);
-            for (int32_t y = b.y0; y <= b.y1; y++)
-                for (int32_t x = b.x0; x <= b.x1; x++) splat_ids[cursor[y * across + x]++] = order[i];
+            const int32_t *box = boxes + 4 * i;
+            for (int32_t v = box[1]; v <= box[3]; v++)
+                for (int32_t u = box[0]; u <= box[2]; u++)
+                    splat_ids[cursor[v * across + u]++] = order[i];
         }
     }
     return 0;
@@ -308,131 +316,108 @@ int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, int64_t *
 
 /* --- composite ------------------------------------------------------------------------------ */
 
-/* exp(-sigma) for sigma >= 0, within 2e-7 relative where alpha can matter (sigma < 6); 0 from 87
- * on, so nothing is denormal. exp = 2^n * 2^f with f in [-1/2, 1/2]. */
-static inline float exp_minus(float sigma) {
-    float x = sigma * -1.44269504f;
-    x = x > -126.0f ? x : -126.0f;
-    float shifted = x + 12582912.0f; /* 1.5 * 2^23: rounds to the nearest integer */
-    float n = shifted - 12582912.0f, f = x - n;
-    float e = (float)EXP2_POLY_6;
-    e = e * f + (float)EXP2_POLY_5;
-    e = e * f + (float)EXP2_POLY_4;
-    e = e * f + (float)EXP2_POLY_3;
-    e = e * f + (float)EXP2_POLY_2;
-    e = e * f + (float)EXP2_POLY_1;
-    e = e * f + (float)EXP2_POLY_0;
-    int32_t bits = ((int32_t)n + 127) << 23;
-    float power;
-    memcpy(&power, &bits, sizeof power);
-    return sigma < 87.0f ? e * power : 0.0f;
-}
-
+/* A splat as compositing reads it: one cache line. Exponents are base 2: alpha = 2^(level - w^2 -
+ * v^2) with w = u11 dx + u12 dy and v = u22 dy, the factors scaled by sqrt(log2(e) / 2). */
 typedef struct {
-    float r[TILE][TILE], g[TILE][TILE], b[TILE][TILE], z[TILE][TILE];
-    float t[TILE][TILE];     /* transmittance while the pixel is open, 0 once it has stopped */
-    float final[TILE][TILE]; /* transmittance after the last splat drawn */
-} tile_state;
+    float mean_x, mean_y, u11, u12, u22, level;
+    float reach;          /* of w^2 + v^2, with some slack: alpha is below the threshold beyond */
+    float shear, inverse; /* on a row: where w is 0, and how wide it runs, per unit */
+    float r, g, b, z;
+    float unused[3];
+} record;
 
-static inline int32_t span_first(float mean, float radius, int32_t origin) {
-    float first = ceilf(mean - radius - 0.5f) - (float)origin;
-    return first > 0 ? (int32_t)min_(first, TILE) : 0;
+/* Where a tile's pixels go, and the two thresholds. */
+typedef struct {
+    float *rgb, *transmittance, *depth;
+    int32_t width;
+    float floor; /* log2 of the alpha threshold */
+    float stop;
+} picture;
+
+enum { BATCH = 32 };                   /* splats between two looks for blocks that are closed */
+#define SPAN_PAD 0.01f                 /* px; a span's end is good to 1e-5 of its distance */
+#define SPAN_SLACK 1e-5f
+#define REACH_SLACK 1e-4f              /* w and v are rounded a hundred times finer */
+#define PREFETCH(p) __builtin_prefetch(p)
+
+/* composite_tile(out, records, splats, ids, count, x0, y0, columns, rows): the pixels of one block
+ * of columns x rows, at most TILE each, with its top left at x0, y0; 1 if an id is out of range. */
+typedef int composite_function(const picture *, const record *, int64_t, const int32_t *, int64_t,
+                               int32_t, int32_t, int32_t, int32_t);
+
+#include "vec_generic.h"
+#if defined(__x86_64__) && defined(__GNUC__)
+#include <immintrin.h>
+#include "vec_avx2.h"
+#include "vec_avx512.h"
+#endif
+
+static composite_function *composite_tile = composite_tile_generic;
+
+int tsplat_isas(void) {
+    int found = TSPLAT_GENERIC;
+#if defined(__x86_64__) && defined(__GNUC__)
+    __builtin_cpu_init();
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) found |= TSPLAT_AVX2;
+    if (found & TSPLAT_AVX2 && __builtin_cpu_supports("avx512f") &&
+        __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
+        __builtin_cpu_supports("avx512vl"))
+        found |= TSPLAT_AVX512;
+#endif
+    return found;
 }
 
-static inline int32_t span_last(float mean, float radius, int32_t origin) {
-    float last = floorf(mean + radius - 0.5f) - (float)origin;
-    return last < TILE - 1 ? (int32_t)max_(last, -1) : TILE - 1;
-}
-
-/* Draws splat k on one tile, whose top left pixel is x0, y0. A row is always TILE lanes wide. */
-static void draw(const tsplat_splats *s, int32_t k, int32_t x0, int32_t y0, float threshold,
-                 float stop, int want_depth, tile_state *tile) {
-    const float *mean = s->means2d + 2 * (int64_t)k, *u = s->factors + 3 * (int64_t)k;
-    const float *color = s->colors + 3 * (int64_t)k, *radius = s->radii + 2 * (int64_t)k;
-    float opacity = s->opacities[k], z = s->depths[k];
-    int32_t first = span_first(mean[1], radius[1], y0), last = span_last(mean[1], radius[1], y0);
-    float dx[TILE];
-    for (int x = 0; x < TILE; x++) dx[x] = (float)(x0 + x) + 0.5f - mean[0];
-    for (int32_t y = first; y <= last; y++) {
-        float dy = (float)(y0 + y) + 0.5f - mean[1];
-        float skew = u[1] * dy, v = u[2] * dy, base = v * v;
-        float *t = tile->t[y], *final = tile->final[y];
-        float weight[TILE];
-        for (int x = 0; x < TILE; x++) {
-            float w = u[0] * dx[x] + skew;
-            float alpha = opacity * exp_minus(0.5f * (w * w + base));
-            alpha = alpha < (float)ALPHA_MAX ? alpha : (float)ALPHA_MAX;
-            alpha = alpha >= threshold ? alpha : 0.0f; /* then next == t: nothing happens */
-            float next = t[x] * (1.0f - alpha);
-            int open = next > stop;
-            weight[x] = open ? t[x] * alpha : 0.0f;
-            t[x] = open ? next : 0.0f;
-            final[x] = open ? next : final[x];
-        }
-        float *r = tile->r[y], *g = tile->g[y], *b = tile->b[y];
-        for (int x = 0; x < TILE; x++) {
-            r[x] += weight[x] * color[0];
-            g[x] += weight[x] * color[1];
-            b[x] += weight[x] * color[2];
-        }
-        if (want_depth)
-            for (int x = 0; x < TILE; x++) tile->z[y][x] += weight[x] * z;
-    }
-}
-
-static int any_open(const tile_state *tile) {
-    float most = 0;
-    for (int y = 0; y < TILE; y++)
-        for (int x = 0; x < TILE; x++) most = most > tile->t[y][x] ? most : tile->t[y][x];
-    return most > 0;
-}
-
-/* Makes the pixels of one block of at most TILE x TILE from one tile's list. */
-static int block(const tsplat_splats *splats, const int32_t *ids, int64_t count, int32_t x0,
-                 int32_t y0, int32_t columns, int32_t rows, const tsplat_params *params,
-                 float *rgb, float *transmittance, float *depth) {
-    float threshold = (float)params->alpha_threshold, stop = (float)params->transmittance_min;
-    tile_state tile;
-    memset(&tile, 0, sizeof tile);
-    for (int y = 0; y < rows; y++) /* lanes outside the picture stay closed */
-        for (int x = 0; x < columns; x++) tile.t[y][x] = tile.final[y][x] = 1.0f;
-    for (int64_t i = 0; i < count; i++) {
-        if (ids[i] < 0 || ids[i] >= splats->count) return 1;
-        draw(splats, ids[i], x0, y0, threshold, stop, depth != NULL, &tile);
-        if (i % 16 == 15 && !any_open(&tile)) break;
-    }
-    for (int y = 0; y < rows; y++) {
-        int64_t at = (int64_t)(y0 + y) * splats->width + x0;
-        for (int x = 0; x < columns; x++) {
-            rgb[3 * (at + x)] = tile.r[y][x];
-            rgb[3 * (at + x) + 1] = tile.g[y][x];
-            rgb[3 * (at + x) + 2] = tile.b[y][x];
-        }
-        memcpy(transmittance + at, tile.final[y], sizeof(float) * columns);
-        if (depth) memcpy(depth + at, tile.z[y], sizeof(float) * columns);
-    }
+int tsplat_use_isa(int isa) {
+    if (!(isa & tsplat_isas())) return TSPLAT_BAD_ISA;
+    composite_tile = composite_tile_generic;
+#if defined(__x86_64__) && defined(__GNUC__)
+    if (isa == TSPLAT_AVX2) composite_tile = composite_tile_avx2;
+    if (isa == TSPLAT_AVX512) composite_tile = composite_tile_avx512;
+#endif
     return 0;
+}
+
+static void pack(const tsplat_splats *s, int64_t k, double threshold, record *out) {
+    const double unit = 0.84932180028801907; /* sqrt(log2(e) / 2) */
+    const float *u = s->factors + 3 * k, *color = s->colors + 3 * k;
+    double level = log2(s->opacities[k]), reach = level - log2(threshold);
+    *out = (record){
+        .mean_x = s->means2d[2 * k], .mean_y = s->means2d[2 * k + 1],
+        .u11 = (float)(unit * u[0]), .u12 = (float)(unit * u[1]), .u22 = (float)(unit * u[2]),
+        .level = (float)level, .reach = (float)(reach * (1 + REACH_SLACK) + REACH_SLACK),
+        .shear = (float)(-u[1] / (double)u[0]), .inverse = (float)(1 / (unit * u[0])),
+        .r = color[0], .g = color[1], .b = color[2], .z = s->depths[k]};
 }
 
 int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
                      const int32_t *splat_ids, int32_t tile_size, const tsplat_params *params,
-                     float *rgb, float *transmittance, float *depth, int threads) {
+                     float *records, float *rgb, float *transmittance, float *depth, int threads) {
     int32_t width = splats->width, height = splats->height;
     if (width < 1 || height < 1 || tile_size < 1 || threads < 1) return TSPLAT_BAD_SIZE;
-    int64_t across = ((int64_t)width + tile_size - 1) / tile_size;
+    int64_t across = ((int64_t)width + tile_size - 1) / tile_size, m = splats->count;
     int64_t down = ((int64_t)height + tile_size - 1) / tile_size;
+    double threshold = max_(params->alpha_threshold, ALPHA_FLOOR);
+    picture out = {rgb, transmittance, depth, width, (float)log2(threshold),
+                   (float)params->transmittance_min};
+    record *packed = (record *)records;
     int bad = 0;
-#pragma omp parallel for schedule(dynamic, 4) num_threads(threads) reduction(| : bad)
-    for (int64_t k = 0; k < across * down; k++) {
-        int32_t x0 = (int32_t)(k % across) * tile_size, y0 = (int32_t)(k / across) * tile_size;
-        int32_t x1 = (int32_t)min64((int64_t)x0 + tile_size, width);
-        int32_t y1 = (int32_t)min64((int64_t)y0 + tile_size, height);
-        const int32_t *ids = splat_ids + tile_offsets[k];
-        int64_t count = tile_offsets[k + 1] - tile_offsets[k];
-        for (int32_t y = y0; y < y1; y += TILE) /* one block unless the tiles are large */
-            for (int32_t x = x0; x < x1; x += TILE)
-                bad |= block(splats, ids, count, x, y, (int32_t)min64(TILE, x1 - x),
-                             (int32_t)min64(TILE, y1 - y), params, rgb, transmittance, depth);
+#pragma omp parallel num_threads(threads)
+    {
+#pragma omp for schedule(static)
+        for (int64_t k = 0; k < m; k++) pack(splats, k, threshold, packed + k);
+#pragma omp for schedule(dynamic, 4) reduction(| : bad)
+        for (int64_t k = 0; k < across * down; k++) {
+            int32_t x0 = (int32_t)(k % across) * tile_size, y0 = (int32_t)(k / across) * tile_size;
+            int32_t x1 = (int32_t)min64((int64_t)x0 + tile_size, width);
+            int32_t y1 = (int32_t)min64((int64_t)y0 + tile_size, height);
+            const int32_t *ids = splat_ids + tile_offsets[k];
+            int64_t count = tile_offsets[k + 1] - tile_offsets[k];
+            for (int32_t y = y0; y < y1; y += TILE) /* one block unless the tiles are large */
+                for (int32_t x = x0; x < x1; x += TILE)
+                    bad |= composite_tile(&out, packed, m, ids, count, x, y,
+                                          (int32_t)min64(TILE, x1 - x),
+                                          (int32_t)min64(TILE, y1 - y));
+        }
     }
     return bad ? TSPLAT_BAD_ID : 0;
 }

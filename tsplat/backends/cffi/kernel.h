@@ -1,6 +1,7 @@
 /* The C kernel's interface, read by the compiler and by cffi alike (which skips # lines).
  *
- * The caller owns every buffer; the kernel allocates nothing and keeps no state. Shapes stand
+ * The caller owns every buffer; the kernel allocates nothing and remembers only which instruction
+ * set it uses. Shapes stand
  * beside each pointer; N Gaussians, M splats, T tiles, I intersections. All arrays are
  * C-contiguous. Functions return a status: 0, or one of the TSPLAT_ codes below.
  */
@@ -10,11 +11,15 @@
 
 enum {
     TSPLAT_TILE = 16,           /* px, side of a tile */
-    TSPLAT_RECORD = 16,         /* floats of scratch per Gaussian in tsplat_project */
+    TSPLAT_RECORD = 16,         /* floats of scratch per Gaussian in project, per splat in composite */
     TSPLAT_CHUNK = 2048,        /* Gaussians per entry of chunk_counts in tsplat_project */
     TSPLAT_RADIX = 2048,        /* entries of scratch per thread in tsplat_sort */
     TSPLAT_BAD_SIZE = 1,        /* a count, a size or a thread number out of range */
-    TSPLAT_BAD_ID = 2           /* an index points outside the array it indexes */
+    TSPLAT_BAD_ID = 2,          /* an index points outside the array it indexes */
+    TSPLAT_BAD_ISA = 3,         /* this CPU or build does not offer that instruction set */
+    TSPLAT_GENERIC = 1,         /* instruction sets, as bits */
+    TSPLAT_AVX2 = 2,
+    TSPLAT_AVX512 = 4
 };
 
 typedef struct {
@@ -57,6 +62,12 @@ typedef struct {
 /* 1 if the kernel was built with OpenMP, else 0: then every call runs on one thread. */
 int tsplat_has_openmp(void);
 
+/* The instruction sets this CPU and build offer, or'ed. */
+int tsplat_isas(void);
+
+/* Chooses one for all later calls; the generic one is used until then. Not while others run. */
+int tsplat_use_isa(int isa);
+
 /* Projects all Gaussians into scratch and counts what stays visible.
  * scratch [N, TSPLAT_RECORD]; chunk_counts [ceil(N / TSPLAT_CHUNK)]; totals [2]: M, overflowed. */
 int tsplat_project(const tsplat_scene *scene, const tsplat_camera *camera,
@@ -72,18 +83,19 @@ int tsplat_gather(const float *scratch, const int32_t *chunk_counts, int64_t gau
 int tsplat_sort(const float *depths, int64_t count, int32_t *order, uint64_t *scratch,
                 uint32_t *histograms, int threads);
 
-/* Counts intersections. tile_offsets [T + 1] is final after this call; cursors [threads, T] is
- * scratch that tsplat_bin_fill needs unchanged, called with the same order and threads. */
-int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int64_t *tile_offsets,
-                     int64_t *cursors, int threads);
+/* Counts intersections. tile_offsets [T + 1] is final after this call; boxes [M, 4] (first column
+ * and row of tiles, last column and row) and cursors [threads, T] are scratch that tsplat_bin_fill
+ * needs unchanged, called with the same order and threads. */
+int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int32_t *boxes,
+                     int64_t *tile_offsets, int64_t *cursors, int threads);
 
 /* Lists the splats of each tile, near to far. splat_ids [I], I = tile_offsets[T]. */
-int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, int64_t *cursors,
-                    int32_t *splat_ids, int threads);
+int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, const int32_t *boxes,
+                    int64_t *cursors, int32_t *splat_ids, int threads);
 
-/* Makes the picture. rgb [H, W, 3], transmittance [H, W], depth [H, W] or NULL. Any tile
+/* Makes the picture. records [M, TSPLAT_RECORD] is scratch, 64-byte aligned; rgb [H, W, 3], transmittance [H, W], depth [H, W] or NULL. Any tile
  * size, so that other backends' bins serve too. */
 int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
                      const int32_t *splat_ids, int32_t tile_size, const tsplat_params *params,
-                     float *rgb, float *transmittance, float *depth, int threads);
+                     float *records, float *rgb, float *transmittance, float *depth, int threads);
 #endif

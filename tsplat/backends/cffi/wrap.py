@@ -140,19 +140,20 @@ def bin(splats: Splats, order: I32, workspace: Workspace) -> Bins:
     tiles = -(-splats.width // size) * -(-splats.height // size)
     offsets = workspace.array("cffi.offsets", (tiles + 1,), np.int64)
     cursors = workspace.array("cffi.cursors", (threads, tiles), np.int64)
+    boxes = workspace.array("cffi.boxes", (len(splats), 4), np.int32)
     struct = _splats(splats)
     _check(
         lib.tsplat_bin_count(
-            struct, _pointer(order, "int32_t"), _pointer(offsets, "int64_t"),
-            _pointer(cursors, "int64_t"), threads,
+            struct, _pointer(order, "int32_t"), _pointer(boxes, "int32_t"),
+            _pointer(offsets, "int64_t"), _pointer(cursors, "int64_t"), threads,
         ),
         "bin",
     )  # fmt: skip
     ids: I32 = workspace.array("cffi.ids", (int(offsets[-1]),), np.int32)
     _check(
         lib.tsplat_bin_fill(
-            struct, _pointer(order, "int32_t"), _pointer(cursors, "int64_t"),
-            _pointer(ids, "int32_t"), threads,
+            struct, _pointer(order, "int32_t"), _pointer(boxes, "int32_t"),
+            _pointer(cursors, "int64_t"), _pointer(ids, "int32_t"), threads,
         ),
         "bin",
     )  # fmt: skip
@@ -167,13 +168,15 @@ def composite(splats: Splats, bins: Bins, params: RenderParams, workspace: Works
     ids = check_array("Bins.splat_ids", bins.splat_ids, np.int32, (int(bins.tile_offsets[-1]),))
     if offsets[0] != 0 or (np.diff(offsets) < 0).any():
         raise KernelError("composite: Bins.tile_offsets must start at 0 and never fall")
+    records = workspace.array("cffi.records", (len(splats), lib.TSPLAT_RECORD), np.float32)
     rgb = workspace.array("cffi.rgb", (height, width, 3), np.float32)
     transmittance = workspace.array("cffi.transmittance", (height, width), np.float32)
     depth = workspace.array("cffi.depth", (height, width), np.float32) if params.depth else None
     _check(
         lib.tsplat_composite(
             _splats(splats), _pointer(offsets, "int64_t"), _pointer(ids, "int32_t"), size,
-            _params(params, 0), _pointer(rgb, "float"), _pointer(transmittance, "float"),
+            _params(params, 0), _pointer(records, "float"), _pointer(rgb, "float"),
+            _pointer(transmittance, "float"),
             _pointer(depth, "float"), workspace.threads,
         ),
         "composite",

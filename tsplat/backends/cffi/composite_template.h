@@ -1,0 +1,202 @@
+/* Compositing one tile of TILE x TILE pixels; a template, instantiated once per instruction set.
+ *
+ * Parameters, undefined again at the end: NAME(f), the function's name for this set; TARGET, its
+ * attributes; LANES, 4, 8 or 16; VF and VM, vector and mask; and the operations of vec_*.h.
+ *
+ * A tile is cut into blocks of 4 x (LANES / 4) pixels, one vector each. For a batch of splats the
+ * blocks that each can reach are found from the exact span of its ellipse on every row of pixels,
+ * and listed splat by splat; then one loop without surprises runs over the list. A pixel is its
+ * transmittance, negative once it has stopped, and its colour sums.
+ */
+#define BLOCK_H (LANES / 4)
+#define DOWN (TILE / BLOCK_H)
+#define BLOCKS (4 * DOWN)
+
+typedef struct {
+    /* per block, LANES values each */
+    _Alignas(64) float t[BLOCKS * LANES], r[BLOCKS * LANES], g[BLOCKS * LANES];
+    _Alignas(64) float b[BLOCKS * LANES], z[BLOCKS * LANES];
+    /* per splat of a batch: exponent products at the lanes of a block, and at each block's corner */
+    _Alignas(64) float lane_w[BATCH][LANES], lane_v[BATCH][LANES];
+    float corner_w[BATCH][BLOCKS], corner_v[BATCH][DOWN];
+    uint16_t list[BATCH * BLOCKS]; /* splat of the batch * BLOCKS + block */
+} NAME(tile);
+
+/* Blocks that have an open pixel, one bit each; block = column * DOWN + row. */
+TARGET static uint64_t NAME(open_blocks)(const NAME(tile) *s) {
+    uint64_t open = 0;
+    for (int k = 0; k < BLOCKS; k++)
+        open |= (uint64_t)(BITS(GT(LOAD(s->t + k * LANES), SET1(0.0f))) != 0) << k;
+    return open;
+}
+
+/* One bit per row of pixels -> one per row of blocks. */
+static inline uint64_t NAME(fold)(uint32_t rows) {
+#if BLOCK_H == 4
+    rows |= rows >> 1;
+    rows |= rows >> 2;
+    rows &= 0x1111;
+    rows = (rows | rows >> 3) & 0x0303;
+    return (rows | rows >> 6) & 0x0f;
+#elif BLOCK_H == 2
+    rows = (rows | rows >> 1) & 0x5555;
+    rows = (rows | rows >> 1) & 0x3333;
+    rows = (rows | rows >> 2) & 0x0f0f;
+    return (rows | rows >> 4) & 0x00ff;
+#else
+    return rows;
+#endif
+}
+
+/* Blocks that a splat can reach. On a row of pixels w runs linearly through 0 at mean + shear dy,
+ * so the row is reached where w^2 <= reach - v^2: an interval, padded against rounding. */
+TARGET static inline uint64_t NAME(reached)(const record *p, int32_t x0, int32_t y0) {
+    static const float rows[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+    VF mean_x = SET1(p->mean_x - ((float)x0 + 0.5f)), mean_y = SET1(p->mean_y - ((float)y0 + 0.5f));
+    VF slope = SET1(p->u22), reach = SET1(p->reach), shear = SET1(p->shear);
+    VF inverse = SET1(p->inverse), pad = SET1(SPAN_PAD), slack = SET1(SPAN_SLACK);
+    uint32_t hit[4] = {0, 0, 0, 0};
+    for (int i = 0; i < TILE; i += LANES) {
+        float at_row[LANES];
+        memcpy(at_row, rows + i, sizeof at_row);
+        VF dy, zero = SET1(0.0f);
+        memcpy(&dy, at_row, sizeof dy);
+        dy = SUB(dy, mean_y);
+        VF v = MUL(slope, dy), room = FNMA(v, v, reach), lean = MUL(shear, dy);
+        VF half = MUL(SQRT(MAX(room, zero)), inverse), middle = ADD(mean_x, lean);
+        half = ADD(half, FMA(slack, ADD(half, ABS(lean)), pad));
+        VF left = SUB(middle, half), right = ADD(middle, half);
+        VM some = GE(room, zero);
+        for (int c = 0; c < 4; c++) {
+            VM in = BOTH(LE(left, SET1(4.0f * c + 3)), GE(right, SET1(4.0f * c)));
+            hit[c] |= BITS(BOTH(in, some)) << i;
+        }
+    }
+    return NAME(fold)(hit[0]) | NAME(fold)(hit[1]) << DOWN | NAME(fold)(hit[2]) << (2 * DOWN) |
+           NAME(fold)(hit[3]) << (3 * DOWN);
+}
+
+/* The exponent's products w and v of splat j at every lane of a block and at every block's corner.
+ * At the tile's corner they are worked out in double: far from a needle's middle terms cancel. */
+TARGET static inline void NAME(place)(NAME(tile) *s, int j, const record *p, int32_t x0, int32_t y0) {
+    double dx = x0 + 0.5 - p->mean_x, dy = y0 + 0.5 - p->mean_y;
+    float w = (float)(p->u11 * dx + p->u12 * dy), v = (float)(p->u22 * dy);
+    for (int l = 0; l < LANES; l++) {
+        s->lane_w[j][l] = p->u11 * (float)(l % 4) + p->u12 * (float)(l / 4);
+        s->lane_v[j][l] = p->u22 * (float)(l / 4);
+    }
+    for (int k = 0; k < BLOCKS; k++)
+        s->corner_w[j][k] =
+            w + (p->u11 * (float)(4 * (k / DOWN)) + p->u12 * (float)(BLOCK_H * (k % DOWN)));
+    for (int k = 0; k < DOWN; k++) s->corner_v[j][k] = v + p->u22 * (float)(BLOCK_H * k);
+}
+
+/* Draws a splat on a block: level - w^2 - v^2 is the base-2 logarithm of its alpha. */
+TARGET static inline void NAME(draw)(NAME(tile) *s, const record *p, int j, int block, VF floor_,
+                                     VF stop, int want_depth) {
+    int at = block * LANES;
+    VF w = ADD(LOAD(s->lane_w[j]), SET1(s->corner_w[j][block]));
+    VF v = ADD(LOAD(s->lane_v[j]), SET1(s->corner_v[j][block % DOWN]));
+    VF x = FNMA(v, v, FNMA(w, w, SET1(p->level)));
+    VM reached = GE(x, floor_);
+    VF n = ROUND(x), f = SUB(x, n);
+    VF e = FMA(f, SET1((float)EXP2_POLY_6), SET1((float)EXP2_POLY_5));
+    e = FMA(e, f, SET1((float)EXP2_POLY_4));
+    e = FMA(e, f, SET1((float)EXP2_POLY_3));
+    e = FMA(e, f, SET1((float)EXP2_POLY_2));
+    e = FMA(e, f, SET1((float)EXP2_POLY_1));
+    e = FMA(e, f, SET1((float)EXP2_POLY_0));
+    VF alpha = MIN(SCALE(e, n), SET1((float)ALPHA_MAX));
+    VF t = LOAD(s->t + at), next = FNMA(t, alpha, t);
+    VM drawn = BOTH(GT(next, stop), reached);
+    VF weight = KEEP(drawn, MUL(t, alpha));
+    STORE(s->t + at, PICK(drawn, next, NEGATE(BUT_NOT(reached, drawn), t)));
+    STORE(s->r + at, FMA(weight, SET1(p->r), LOAD(s->r + at)));
+    STORE(s->g + at, FMA(weight, SET1(p->g), LOAD(s->g + at)));
+    STORE(s->b + at, FMA(weight, SET1(p->b), LOAD(s->b + at)));
+    if (want_depth) STORE(s->z + at, FMA(weight, SET1(p->z), LOAD(s->z + at)));
+}
+
+/* See composite_tile in kernel.c. */
+TARGET static int NAME(composite_tile)(const picture *out, const record *records, int64_t splats,
+                                       const int32_t *ids, int64_t count, int32_t x0, int32_t y0,
+                                       int32_t columns, int32_t rows) {
+    NAME(tile) s;
+    int want_depth = out->depth != NULL;
+    VF floor_ = SET1(out->floor), stop = SET1(out->stop);
+    memset(s.r, 0, sizeof s.r);
+    memset(s.g, 0, sizeof s.g);
+    memset(s.b, 0, sizeof s.b);
+    if (want_depth) memset(s.z, 0, sizeof s.z);
+    for (int k = 0; k < BLOCKS; k++)
+        for (int l = 0; l < LANES; l++) { /* pixels outside the picture are stopped from the start */
+            int x = 4 * (k / DOWN) + l % 4, y = BLOCK_H * (k % DOWN) + l / 4;
+            s.t[k * LANES + l] = x < columns && y < rows ? 1.0f : -1.0f;
+        }
+    for (int64_t begin = 0; begin < count; begin += BATCH) {
+        int n = (int)min64(BATCH, count - begin), entries = 0;
+        const int32_t *id = ids + begin;
+        uint64_t open = NAME(open_blocks)(&s);
+        if (!open) break;
+        for (int j = 0; j < n; j++) {
+            if (id[j] < 0 || id[j] >= splats) return 1;
+            PREFETCH(records + id[j]);
+        }
+        for (int j = 0; j < n; j++) {
+            const record *p = records + id[j];
+            uint64_t mask = NAME(reached)(p, x0, y0) & open;
+            if (!mask) continue;
+            NAME(place)(&s, j, p, x0, y0);
+            for (; mask; mask &= mask - 1)
+                s.list[entries++] = (uint16_t)(j * BLOCKS + __builtin_ctzll(mask));
+        }
+        for (int i = 0; i < entries; i++) {
+            int j = s.list[i] / BLOCKS;
+            NAME(draw)(&s, records + id[j], j, s.list[i] % BLOCKS, floor_, stop, want_depth);
+        }
+    }
+    for (int y = 0; y < rows; y++) {
+        int64_t row = (int64_t)(y0 + y) * out->width + x0;
+        for (int x = 0; x < columns; x++) {
+            int at = ((x / 4) * DOWN + y / BLOCK_H) * LANES + y % BLOCK_H * 4 + x % 4;
+            out->rgb[3 * (row + x)] = s.r[at];
+            out->rgb[3 * (row + x) + 1] = s.g[at];
+            out->rgb[3 * (row + x) + 2] = s.b[at];
+            out->transmittance[row + x] = fabsf(s.t[at]);
+            if (want_depth) out->depth[row + x] = s.z[at];
+        }
+    }
+    return 0;
+}
+
+#undef NAME
+#undef TARGET
+#undef LANES
+#undef VF
+#undef VM
+#undef LOAD
+#undef STORE
+#undef SET1
+#undef ADD
+#undef SUB
+#undef MUL
+#undef FMA
+#undef FNMA
+#undef MIN
+#undef MAX
+#undef ABS
+#undef SQRT
+#undef GE
+#undef GT
+#undef LE
+#undef BOTH
+#undef BUT_NOT
+#undef KEEP
+#undef PICK
+#undef NEGATE
+#undef BITS
+#undef ROUND
+#undef SCALE
+#undef BLOCK_H
+#undef DOWN
+#undef BLOCKS

@@ -1,0 +1,31 @@
+/* Eight lanes: AVX2 and FMA. */
+#define NAME(f) f##_avx2
+#define TARGET __attribute__((target("avx2,fma")))
+#define LANES 8
+#define VF __m256
+#define VM __m256
+#define LOAD(p) _mm256_load_ps(p)
+#define STORE(p, v) _mm256_store_ps(p, v)
+#define SET1(x) _mm256_set1_ps(x)
+#define ADD(a, b) _mm256_add_ps(a, b)
+#define SUB(a, b) _mm256_sub_ps(a, b)
+#define MUL(a, b) _mm256_mul_ps(a, b)
+#define FMA(a, b, c) _mm256_fmadd_ps(a, b, c)
+#define FNMA(a, b, c) _mm256_fnmadd_ps(a, b, c)
+#define MIN(a, b) _mm256_min_ps(a, b)
+#define MAX(a, b) _mm256_max_ps(a, b)
+#define ABS(a) _mm256_andnot_ps(_mm256_set1_ps(-0.0f), a)
+#define SQRT(a) _mm256_sqrt_ps(a)
+#define GE(a, b) _mm256_cmp_ps(a, b, _CMP_GE_OQ)
+#define GT(a, b) _mm256_cmp_ps(a, b, _CMP_GT_OQ)
+#define LE(a, b) _mm256_cmp_ps(a, b, _CMP_LE_OQ)
+#define BOTH(m, n) _mm256_and_ps(m, n)
+#define BUT_NOT(m, n) _mm256_andnot_ps(n, m)
+#define KEEP(m, a) _mm256_and_ps(m, a)
+#define PICK(m, a, b) _mm256_blendv_ps(b, a, m)
+#define NEGATE(m, a) _mm256_or_ps(a, _mm256_and_ps(m, _mm256_set1_ps(-0.0f)))
+#define BITS(m) ((unsigned)_mm256_movemask_ps(m))
+#define ROUND(a) _mm256_round_ps(a, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC)
+#define SCALE(p, n) _mm256_castsi256_ps(_mm256_add_epi32( \
+    _mm256_castps_si256(p), _mm256_slli_epi32(_mm256_cvtps_epi32(n), 23)))
+#include "composite_template.h"

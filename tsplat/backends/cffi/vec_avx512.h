@@ -1,0 +1,30 @@
+/* Sixteen lanes: AVX-512 F, DQ, BW and VL. */
+#define NAME(f) f##_avx512
+#define TARGET __attribute__((target("avx512f,avx512dq,avx512bw,avx512vl,avx2,fma")))
+#define LANES 16
+#define VF __m512
+#define VM __mmask16
+#define LOAD(p) _mm512_load_ps(p)
+#define STORE(p, v) _mm512_store_ps(p, v)
+#define SET1(x) _mm512_set1_ps(x)
+#define ADD(a, b) _mm512_add_ps(a, b)
+#define SUB(a, b) _mm512_sub_ps(a, b)
+#define MUL(a, b) _mm512_mul_ps(a, b)
+#define FMA(a, b, c) _mm512_fmadd_ps(a, b, c)
+#define FNMA(a, b, c) _mm512_fnmadd_ps(a, b, c)
+#define MIN(a, b) _mm512_min_ps(a, b)
+#define MAX(a, b) _mm512_max_ps(a, b)
+#define ABS(a) _mm512_abs_ps(a)
+#define SQRT(a) _mm512_sqrt_ps(a)
+#define GE(a, b) _mm512_cmp_ps_mask(a, b, _CMP_GE_OQ)
+#define GT(a, b) _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ)
+#define LE(a, b) _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ)
+#define BOTH(m, n) ((__mmask16)((m) & (n)))
+#define BUT_NOT(m, n) ((__mmask16)((m) & ~(n)))
+#define KEEP(m, a) _mm512_maskz_mov_ps(m, a)
+#define PICK(m, a, b) _mm512_mask_mov_ps(b, m, a)
+#define NEGATE(m, a) _mm512_mask_or_ps(a, m, a, _mm512_set1_ps(-0.0f))
+#define BITS(m) ((unsigned)(m))
+#define ROUND(a) _mm512_roundscale_ps(a, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC)
+#define SCALE(p, n) _mm512_scalef_ps(p, n)
+#include "composite_template.h"

@@ -1,0 +1,37 @@
+/* Four lanes in the compiler's own vectors: SSE2, NEON, or whatever the machine's base has. */
+#define NAME(f) f##_generic
+#define TARGET
+#define LANES 4
+typedef float vf4 __attribute__((vector_size(16)));
+typedef int32_t vi4 __attribute__((vector_size(16)));
+#define VF vf4
+#define VM vi4
+#define LOAD(p) (*(const vf4 *)(p))
+#define STORE(p, v) (*(vf4 *)(p) = (v))
+#define SET1(x) ((vf4){(x), (x), (x), (x)})
+#define ADD(a, b) ((a) + (b))
+#define SUB(a, b) ((a) - (b))
+#define MUL(a, b) ((a) * (b))
+#define FMA(a, b, c) ((a) * (b) + (c))
+#define FNMA(a, b, c) ((c) - (a) * (b))
+#define MIN(a, b) pick4((a) < (b), (a), (b))
+#define MAX(a, b) pick4((a) > (b), (a), (b))
+#define ABS(a) ((vf4)((vi4)(a) & 0x7fffffff))
+#define SQRT(a) ((vf4){sqrtf((a)[0]), sqrtf((a)[1]), sqrtf((a)[2]), sqrtf((a)[3])})
+#define GE(a, b) ((a) >= (b))
+#define GT(a, b) ((a) > (b))
+#define LE(a, b) ((a) <= (b))
+#define BOTH(m, n) ((m) & (n))
+#define BUT_NOT(m, n) ((m) & ~(n))
+#define KEEP(m, a) ((vf4)((vi4)(a) & (m)))
+#define PICK(m, a, b) pick4((m), (a), (b))
+#define NEGATE(m, a) ((vf4)((vi4)(a) | ((m) & (int32_t)0x80000000)))
+#define BITS(m) bits4(m)
+#define ROUND(a) (((a) + 12582912.0f) - 12582912.0f) /* 1.5 * 2^23 */
+#define SCALE(p, n) ((vf4)((vi4)(p) + (((vi4)((n) + 12582912.0f)) << 23)))
+
+static inline vf4 pick4(vi4 m, vf4 a, vf4 b) { return (vf4)(((vi4)a & m) | ((vi4)b & ~m)); }
+static inline unsigned bits4(vi4 m) {
+    return (m[0] & 1) | (m[1] & 2) | (m[2] & 4) | (m[3] & 8);
+}
+#include "composite_template.h"
