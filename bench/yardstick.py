@@ -1,0 +1,48 @@
+"""The yardstick: a plain C pipeline that others' speed is quoted against, if it is at hand.
+
+It is not part of tsplat. ``$TSPLAT_YARDSTICK`` or ``../shared/baseline`` names a folder with
+``baseline.py``, whose ``Baseline().frame(...)`` renders approximately, with band 0 only, and
+returns its seconds per stage.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from pathlib import Path
+
+import numpy as np
+
+from tsplat.core.camera import Camera
+from tsplat.core.types import Scene
+
+SH_C0 = 0.28209479177387814
+
+
+class Yardstick:
+    """Times frames of the yardstick."""
+
+    def __init__(self, folder: Path) -> None:
+        spec = importlib.util.spec_from_file_location("baseline", folder / "baseline.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        self._baseline = module.Baseline()
+
+    def seconds(self, scene: Scene, camera: Camera, threads: int) -> dict[str, float]:
+        """One frame's seconds per stage and in total."""
+        view = camera.viewmat.copy()
+        view[:3, 3] += camera.rotation @ scene.origin
+        colors = np.clip(0.5 + SH_C0 * scene.sh[:, 0], 0, 1)
+        _, seconds = self._baseline.frame(
+            scene.means, scene.quats, scene.scales, colors, scene.opacities,
+            view, camera.K, camera.width, camera.height, threads,
+        )  # fmt: skip
+        del seconds["visible"]
+        return seconds
+
+
+def find() -> Yardstick | None:
+    """The yardstick, or None where there is none."""
+    default = Path(__file__).resolve().parents[2] / "shared" / "baseline"
+    folder = Path(os.environ.get("TSPLAT_YARDSTICK") or default)
+    return Yardstick(folder) if (folder / "baseline.py").is_file() else None
