@@ -23,6 +23,8 @@ int tsplat_has_openmp(void) {
 #endif
 }
 
+#define PREFETCH(p) __builtin_prefetch(p)
+
 static inline int64_t min64(int64_t a, int64_t b) { return a < b ? a : b; }
 static inline double min_(double a, double b) { return a < b ? a : b; }
 static inline double max_(double a, double b) { return a > b ? a : b; }
@@ -269,7 +271,9 @@ int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int32_t 
         int64_t *counts = cursors + t * tiles;
         memset(counts, 0, sizeof *counts * tiles);
         for (int64_t i = m * t / threads; i < m * (t + 1) / threads; i++) {
-            int64_t k = order[i];
+            int64_t k = order[i], ahead = order[min64(i + 24, m - 1)];
+            PREFETCH(splats->means2d + 2 * ahead); /* a wrong one does no harm */
+            PREFETCH(splats->radii + 2 * ahead);
             if (k < 0 || k >= m) {
                 bad = 1;
                 break;
@@ -335,10 +339,10 @@ typedef struct {
 } picture;
 
 enum { BATCH = 32 };                   /* splats between two looks for blocks that are closed */
-#define SPAN_PAD 0.01f                 /* px; a span's end is good to 1e-5 of its distance */
-#define SPAN_SLACK 1e-5f
+#define SPAN_PAD 0.01f                 /* px, and this share of its length: what a row's span is padded by */
+#define SPAN_SLACK 4e-4f              /* the rough square root is good to 3e-4 */
 #define REACH_SLACK 1e-4f              /* w and v are rounded a hundred times finer */
-#define PREFETCH(p) __builtin_prefetch(p)
+_Alignas(64) static const float ROWS[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 
 /* composite_tile(out, records, splats, ids, count, x0, y0, columns, rows): the pixels of one block
  * of columns x rows, at most TILE each, with its top left at x0, y0; 1 if an id is out of range. */
@@ -377,14 +381,14 @@ int tsplat_use_isa(int isa) {
     return 0;
 }
 
-static void pack(const tsplat_splats *s, int64_t k, double threshold, record *out) {
+static void pack(const tsplat_splats *s, int64_t k, float log2_threshold, record *out) {
     const double unit = 0.84932180028801907; /* sqrt(log2(e) / 2) */
     const float *u = s->factors + 3 * k, *color = s->colors + 3 * k;
-    double level = log2(s->opacities[k]), reach = level - log2(threshold);
+    float level = log2f(s->opacities[k]), reach = level - log2_threshold;
     *out = (record){
         .mean_x = s->means2d[2 * k], .mean_y = s->means2d[2 * k + 1],
         .u11 = (float)(unit * u[0]), .u12 = (float)(unit * u[1]), .u22 = (float)(unit * u[2]),
-        .level = (float)level, .reach = (float)(reach * (1 + REACH_SLACK) + REACH_SLACK),
+        .level = level, .reach = reach * (1 + REACH_SLACK) + REACH_SLACK,
         .shear = (float)(-u[1] / (double)u[0]), .inverse = (float)(1 / (unit * u[0])),
         .r = color[0], .g = color[1], .b = color[2], .z = s->depths[k]};
 }
@@ -404,7 +408,7 @@ int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
 #pragma omp parallel num_threads(threads)
     {
 #pragma omp for schedule(static)
-        for (int64_t k = 0; k < m; k++) pack(splats, k, threshold, packed + k);
+        for (int64_t k = 0; k < m; k++) pack(splats, k, out.floor, packed + k);
 #pragma omp for schedule(dynamic, 4) reduction(| : bad)
         for (int64_t k = 0; k < across * down; k++) {
             int32_t x0 = (int32_t)(k % across) * tile_size, y0 = (int32_t)(k / across) * tile_size;

@@ -1,6 +1,6 @@
 /* Eight lanes: AVX2 and FMA. */
 #define NAME(f) f##_avx2
-#define TARGET __attribute__((target("avx2,fma")))
+#define TARGET __attribute__((target("avx2,fma,bmi,bmi2,lzcnt,popcnt")))
 #define LANES 8
 #define VF __m256
 #define VM __m256
@@ -15,7 +15,7 @@
 #define MIN(a, b) _mm256_min_ps(a, b)
 #define MAX(a, b) _mm256_max_ps(a, b)
 #define ABS(a) _mm256_andnot_ps(_mm256_set1_ps(-0.0f), a)
-#define SQRT(a) _mm256_sqrt_ps(a)
+#define ROUGH_SQRT(a) _mm256_mul_ps(a, _mm256_rsqrt_ps(a))
 #define GE(a, b) _mm256_cmp_ps(a, b, _CMP_GE_OQ)
 #define GT(a, b) _mm256_cmp_ps(a, b, _CMP_GT_OQ)
 #define LE(a, b) _mm256_cmp_ps(a, b, _CMP_LE_OQ)

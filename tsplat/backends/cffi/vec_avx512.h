@@ -1,6 +1,6 @@
 /* Sixteen lanes: AVX-512 F, DQ, BW and VL. */
 #define NAME(f) f##_avx512
-#define TARGET __attribute__((target("avx512f,avx512dq,avx512bw,avx512vl,avx2,fma")))
+#define TARGET __attribute__((target("avx512f,avx512dq,avx512bw,avx512vl,avx2,fma,bmi,bmi2,lzcnt,popcnt")))
 #define LANES 16
 #define VF __m512
 #define VM __mmask16
@@ -15,7 +15,7 @@
 #define MIN(a, b) _mm512_min_ps(a, b)
 #define MAX(a, b) _mm512_max_ps(a, b)
 #define ABS(a) _mm512_abs_ps(a)
-#define SQRT(a) _mm512_sqrt_ps(a)
+#define ROUGH_SQRT(a) _mm512_mul_ps(a, _mm512_rsqrt14_ps(a))
 #define GE(a, b) _mm512_cmp_ps_mask(a, b, _CMP_GE_OQ)
 #define GT(a, b) _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ)
 #define LE(a, b) _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ)

@@ -17,7 +17,7 @@ typedef int32_t vi4 __attribute__((vector_size(16)));
 #define MIN(a, b) pick4((a) < (b), (a), (b))
 #define MAX(a, b) pick4((a) > (b), (a), (b))
 #define ABS(a) ((vf4)((vi4)(a) & 0x7fffffff))
-#define SQRT(a) ((vf4){sqrtf((a)[0]), sqrtf((a)[1]), sqrtf((a)[2]), sqrtf((a)[3])})
+#define ROUGH_SQRT(a) ((vf4){sqrtf((a)[0]), sqrtf((a)[1]), sqrtf((a)[2]), sqrtf((a)[3])})
 #define GE(a, b) ((a) >= (b))
 #define GT(a, b) ((a) > (b))
 #define LE(a, b) ((a) <= (b))
