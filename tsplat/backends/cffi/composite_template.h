@@ -1,7 +1,7 @@
 /* Compositing one tile of TILE x TILE pixels; a template, instantiated once per instruction set.
  *
- * Parameters, undefined again at the end: NAME(f), the function's name for this set; TARGET, its
- * attributes; LANES, 4, 8 or 16; VF and VM, vector and mask; and the operations of vec_*.h.
+ * Parameters: NAME(f), the function's name for this set; TARGET, its attributes; LANES, 4, 8 or 16;
+ * VF and VM, vector and mask; and the operations of vec_*.h.
  *
  * A tile is cut into blocks of 4 x (LANES / 4) pixels, one vector each. For a batch of splats the
  * blocks that each can reach are found from the exact span of its ellipse on every row of pixels,
@@ -174,34 +174,6 @@ TARGET static int NAME(composite_tile)(const picture *out, const record *records
     return 0;
 }
 
-#undef NAME
-#undef TARGET
-#undef LANES
-#undef VF
-#undef VM
-#undef LOAD
-#undef STORE
-#undef SET1
-#undef ADD
-#undef SUB
-#undef MUL
-#undef FMA
-#undef FNMA
-#undef MIN
-#undef MAX
-#undef ABS
-#undef ROUGH_SQRT
-#undef GE
-#undef GT
-#undef LE
-#undef BOTH
-#undef BUT_NOT
-#undef KEEP
-#undef PICK
-#undef NEGATE
-#undef BITS
-#undef ROUND
-#undef SCALE
 #undef BLOCK_H
 #undef DOWN
 #undef BLOCKS

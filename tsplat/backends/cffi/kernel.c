@@ -30,116 +30,124 @@ static inline double min_(double a, double b) { return a < b ? a : b; }
 static inline double max_(double a, double b) { return a > b ? a : b; }
 static inline double clamp(double v, double low, double high) { return max_(low, min_(v, high)); }
 
-/* --- project -------------------------------------------------------------------------------- */
+/* --- instruction sets ----------------------------------------------------------------------- */
 
-/* Colour of one Gaussian seen along the unit direction x, y, z; see reference.sh_basis. */
-static void sh_color(const float *sh, int degree, double x, double y, double z, float *color) {
-    double basis[16];
-    int terms = (degree + 1) * (degree + 1);
-    basis[0] = SH_C0;
-    if (degree >= 1) {
-        basis[1] = -SH_C1 * y;
-        basis[2] = SH_C1 * z;
-        basis[3] = -SH_C1 * x;
-    }
-    if (degree >= 2) {
-        double xx = x * x, yy = y * y, zz = z * z;
-        basis[4] = SH_C2_0 * (x * y);
-        basis[5] = SH_C2_1 * (y * z);
-        basis[6] = SH_C2_2 * (2 * zz - xx - yy);
-        basis[7] = SH_C2_3 * (x * z);
-        basis[8] = SH_C2_4 * (xx - yy);
-        if (degree >= 3) {
-            basis[9] = SH_C3_0 * y * (3 * xx - yy);
-            basis[10] = SH_C3_1 * (x * y) * z;
-            basis[11] = SH_C3_2 * y * (4 * zz - xx - yy);
-            basis[12] = SH_C3_3 * z * (2 * zz - 3 * xx - 3 * yy);
-            basis[13] = SH_C3_4 * x * (4 * zz - xx - yy);
-            basis[14] = SH_C3_5 * z * (xx - yy);
-            basis[15] = SH_C3_6 * x * (xx - 3 * yy);
+/* A splat as compositing reads it: one cache line. Exponents are base 2: alpha = 2^(level - w^2 -
+ * v^2) with w = u11 dx + u12 dy and v = u22 dy, the factors scaled by sqrt(log2(e) / 2). */
+typedef struct {
+    float mean_x, mean_y, u11, u12, u22, level;
+    float reach;          /* of w^2 + v^2, with some slack: alpha is below the threshold beyond */
+    float shear, inverse; /* on a row: where w is 0, and how wide it runs, per unit */
+    float r, g, b, z;
+    float unused[3];
+} record;
+
+/* Where a tile's pixels go, and the two thresholds. */
+typedef struct {
+    float *rgb, *transmittance, *depth;
+    int32_t width;
+    float floor; /* log2 of the alpha threshold */
+    float stop;
+} picture;
+
+enum { BATCH = 32 };                   /* splats between two looks for blocks that are closed */
+#define SPAN_PAD 0.01f                 /* px, and this share of its length: what a row's span is padded by */
+#define SPAN_SLACK 4e-4f              /* the rough square root is good to 3e-4 */
+#define REACH_SLACK 1e-4f              /* w and v are rounded a hundred times finer */
+_Alignas(64) static const float ROWS[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+
+/* composite_tile(out, records, splats, ids, count, x0, y0, columns, rows): the pixels of one block
+ * of columns x rows, at most TILE each, with its top left at x0, y0; 1 if an id is out of range. */
+typedef int composite_function(const picture *, const record *, int64_t, const int32_t *, int64_t,
+                               int32_t, int32_t, int32_t, int32_t);
+
+/* Colour of Gaussian i: max(0, 0.5 + sum of harmonics in the direction from the camera); see
+ * reference.sh_basis. */
+static inline void sh_color(const tsplat_scene *s, const tsplat_camera *cam, int degree, int64_t i,
+                            float *color) {
+    const float *sh = s->sh + 3 * i * s->coefficients;
+    float r = 0.5f + (float)SH_C0 * sh[0], g = 0.5f + (float)SH_C0 * sh[1],
+          b = 0.5f + (float)SH_C0 * sh[2];
+    if (degree > 0) {
+        const float *m = s->means + 3 * i;
+        double dx = m[0] - cam->centre[0], dy = m[1] - cam->centre[1], dz = m[2] - cam->centre[2];
+        double inverse = 1 / sqrt(dx * dx + dy * dy + dz * dz);
+        float x = (float)(dx * inverse), y = (float)(dy * inverse), z = (float)(dz * inverse);
+        float xx = x * x, yy = y * y, zz = z * z, basis[16];
+        basis[1] = (float)-SH_C1 * y;
+        basis[2] = (float)SH_C1 * z;
+        basis[3] = (float)-SH_C1 * x;
+        if (degree > 1) {
+            basis[4] = (float)SH_C2_0 * (x * y);
+            basis[5] = (float)SH_C2_1 * (y * z);
+            basis[6] = (float)SH_C2_2 * (2 * zz - xx - yy);
+            basis[7] = (float)SH_C2_3 * (x * z);
+            basis[8] = (float)SH_C2_4 * (xx - yy);
+        }
+        if (degree > 2) {
+            basis[9] = (float)SH_C3_0 * y * (3 * xx - yy);
+            basis[10] = (float)SH_C3_1 * (x * y) * z;
+            basis[11] = (float)SH_C3_2 * y * (4 * zz - xx - yy);
+            basis[12] = (float)SH_C3_3 * z * (2 * zz - 3 * xx - 3 * yy);
+            basis[13] = (float)SH_C3_4 * x * (4 * zz - xx - yy);
+            basis[14] = (float)SH_C3_5 * z * (xx - yy);
+            basis[15] = (float)SH_C3_6 * x * (xx - 3 * yy);
+        }
+        int terms = (degree + 1) * (degree + 1);
+        for (int k = 1; k < terms; k++) {
+            r += basis[k] * sh[3 * k];
+            g += basis[k] * sh[3 * k + 1];
+            b += basis[k] * sh[3 * k + 2];
         }
     }
-    double r = 0.5, g = 0.5, b = 0.5;
-    for (int k = 0; k < terms; k++) {
-        r += basis[k] * sh[3 * k];
-        g += basis[k] * sh[3 * k + 1];
-        b += basis[k] * sh[3 * k + 2];
-    }
-    color[0] = (float)max_(r, 0);
-    color[1] = (float)max_(g, 0);
-    color[2] = (float)max_(b, 0);
+    color[0] = r > 0 ? r : 0;
+    color[1] = g > 0 ? g : 0;
+    color[2] = b > 0 ? b : 0;
 }
 
-/* One Gaussian -> one record of TSPLAT_RECORD floats, the fields of tsplat_splats in order.
- * Returns 1 if it is visible, 0 if not, -1 if it overflows. */
-static int project_one(const tsplat_scene *s, const tsplat_camera *cam, const tsplat_params *p,
-                       double threshold, int64_t i, float *out) {
-    const double *R = cam->rotation;
-    const float *m = s->means + 3 * i, *q = s->quats + 4 * i, *scale = s->scales + 3 * i;
-    double opacity = s->opacities[i];
-    double dx = m[0] - cam->centre[0], dy = m[1] - cam->centre[1], dz = m[2] - cam->centre[2];
-    double pz = (R[6] * dx + R[7] * dy) + R[8] * dz;
-    if (!(pz > cam->near_ && pz < cam->far_ && opacity >= threshold)) return 0;
-    double px = (R[0] * dx + R[1] * dy) + R[2] * dz;
-    double py = (R[3] * dx + R[4] * dy) + R[5] * dz;
-    double slope_x = px / pz, slope_y = py / pz;
-    double mean_x = cam->fx * slope_x + cam->cx, mean_y = cam->fy * slope_y + cam->cy;
+/* project_group(scene, camera, params, threshold, first, count, out, overflowed): projects at most
+ * LANES Gaussians into records of TSPLAT_RECORD floats, the fields of tsplat_splats in order; returns
+ * how many are visible and adds those that overflow. */
+typedef int project_function(const tsplat_scene *, const tsplat_camera *, const tsplat_params *, double,
+                             int64_t, int, float *, int64_t *);
 
-    /* The Jacobian's slopes are held near the picture; see reference._project_rows. */
-    double margin_x = CLAMP_MARGIN * cam->width / (2 * cam->fx);
-    double margin_y = CLAMP_MARGIN * cam->height / (2 * cam->fy);
-    double u = clamp(slope_x, -cam->cx / cam->fx - margin_x,
-                     (cam->width - cam->cx) / cam->fx + margin_x);
-    double v = clamp(slope_y, -cam->cy / cam->fy - margin_y,
-                     (cam->height - cam->cy) / cam->fy + margin_y);
+#include "vec_generic.h"
+#if defined(__x86_64__) && defined(__GNUC__)
+#include <immintrin.h>
+#include "vec_avx2.h"
+#include "vec_avx512.h"
+#endif
 
-    double qw = q[0], qx = q[1], qy = q[2], qz = q[3];
-    double turn[9] = {
-        1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qw * qz), 2 * (qx * qz + qw * qy),
-        2 * (qx * qy + qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qw * qx),
-        2 * (qx * qz - qw * qy), 2 * (qy * qz + qw * qx), 1 - 2 * (qx * qx + qy * qy)};
-    double a1[3], a2[3];
-    for (int k = 0; k < 3; k++) {
-        double x = (R[0] * turn[k] + R[1] * turn[3 + k] + R[2] * turn[6 + k]) * scale[k];
-        double y = (R[3] * turn[k] + R[4] * turn[3 + k] + R[5] * turn[6 + k]) * scale[k];
-        double z = (R[6] * turn[k] + R[7] * turn[3 + k] + R[8] * turn[6 + k]) * scale[k];
-        a1[k] = cam->fx / pz * (x - u * z);
-        a2[k] = cam->fy / pz * (y - v * z);
-    }
-    double xx = a1[0] * a1[0] + a1[1] * a1[1] + a1[2] * a1[2];
-    double yy = a2[0] * a2[0] + a2[1] * a2[1] + a2[2] * a2[2];
-    double xy = a1[0] * a2[0] + a1[1] * a2[1] + a1[2] * a2[2];
-    double c0 = a1[1] * a2[2] - a1[2] * a2[1], c1 = a1[2] * a2[0] - a1[0] * a2[2],
-           c2 = a1[0] * a2[1] - a1[1] * a2[0];
-    if (!(xx + yy <= VARIANCE_MAX && fabs(mean_x) <= OFFSCREEN_MAX && fabs(mean_y) <= OFFSCREEN_MAX))
-        return -1;
-    double det_sharp = c0 * c0 + c1 * c1 + c2 * c2;
-    double det = det_sharp + EPS2D * (xx + yy) + EPS2D * EPS2D;
-    if (p->antialias) opacity *= sqrt(det_sharp / det);
-    if (!(opacity >= threshold)) return 0;
-    double var_x = xx + EPS2D, var_y = yy + EPS2D;
-    double reach = 2 * log(opacity / threshold);
-    double radius_x = sqrt(reach * var_x) * (1 + RADIUS_SLACK) + RADIUS_PAD;
-    double radius_y = sqrt(reach * var_y) * (1 + RADIUS_SLACK) + RADIUS_PAD;
-    if (!(mean_x + radius_x >= 0.5 && mean_x - radius_x <= cam->width - 0.5 &&
-          mean_y + radius_y >= 0.5 && mean_y - radius_y <= cam->height - 0.5))
-        return 0;
+static composite_function *composite_tile = composite_tile_generic;
+static project_function *project_group = project_group_generic;
+static int group = 4; /* Gaussians that project_group takes at a time */
 
-    out[0] = (float)mean_x;
-    out[1] = (float)mean_y;
-    out[2] = (float)sqrt(var_y / det);
-    out[3] = (float)(-xy / sqrt(var_y * det));
-    out[4] = (float)(1 / sqrt(var_y));
-    out[5] = (float)pz;
-    out[6] = (float)opacity;
-    double inv = 1 / sqrt(dx * dx + dy * dy + dz * dz);
-    sh_color(s->sh + 3 * i * s->coefficients, p->sh_degree, dx * inv, dy * inv, dz * inv, out + 7);
-    out[10] = (float)radius_x;
-    out[11] = (float)radius_y;
-    int32_t id = (int32_t)i;
-    memcpy(out + 12, &id, sizeof id);
-    return 1;
+int tsplat_isas(void) {
+    int found = TSPLAT_GENERIC;
+#if defined(__x86_64__) && defined(__GNUC__)
+    __builtin_cpu_init();
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) found |= TSPLAT_AVX2;
+    if (found & TSPLAT_AVX2 && __builtin_cpu_supports("avx512f") &&
+        __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
+        __builtin_cpu_supports("avx512vl"))
+        found |= TSPLAT_AVX512;
+#endif
+    return found;
 }
+
+int tsplat_use_isa(int isa) {
+    if (!(isa & tsplat_isas())) return TSPLAT_BAD_ISA;
+    composite_tile = composite_tile_generic, project_group = project_group_generic, group = 4;
+#if defined(__x86_64__) && defined(__GNUC__)
+    if (isa == TSPLAT_AVX2)
+        composite_tile = composite_tile_avx2, project_group = project_group_avx2, group = 8;
+    if (isa == TSPLAT_AVX512)
+        composite_tile = composite_tile_avx512, project_group = project_group_avx512, group = 16;
+#endif
+    return 0;
+}
+
+/* --- project -------------------------------------------------------------------------------- */
 
 int tsplat_project(const tsplat_scene *scene, const tsplat_camera *camera,
                    const tsplat_params *params, float *scratch, int32_t *chunk_counts,
@@ -155,11 +163,9 @@ int tsplat_project(const tsplat_scene *scene, const tsplat_camera *camera,
         int64_t end = min64(n, (c + 1) * CHUNK);
         float *out = scratch + c * CHUNK * RECORD;
         int32_t count = 0;
-        for (int64_t i = c * CHUNK; i < end; i++) {
-            int seen = project_one(scene, camera, params, threshold, i, out + (int64_t)count * RECORD);
-            count += seen > 0;
-            overflowed += seen < 0;
-        }
+        for (int64_t i = c * CHUNK; i < end; i += group)
+            count += project_group(scene, camera, params, threshold, i, (int)min64(group, end - i),
+                                   out + (int64_t)count * RECORD, &overflowed);
         chunk_counts[c] = count;
         visible += count;
     }
@@ -319,67 +325,6 @@ int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, const int
 }
 
 /* --- composite ------------------------------------------------------------------------------ */
-
-/* A splat as compositing reads it: one cache line. Exponents are base 2: alpha = 2^(level - w^2 -
- * v^2) with w = u11 dx + u12 dy and v = u22 dy, the factors scaled by sqrt(log2(e) / 2). */
-typedef struct {
-    float mean_x, mean_y, u11, u12, u22, level;
-    float reach;          /* of w^2 + v^2, with some slack: alpha is below the threshold beyond */
-    float shear, inverse; /* on a row: where w is 0, and how wide it runs, per unit */
-    float r, g, b, z;
-    float unused[3];
-} record;
-
-/* Where a tile's pixels go, and the two thresholds. */
-typedef struct {
-    float *rgb, *transmittance, *depth;
-    int32_t width;
-    float floor; /* log2 of the alpha threshold */
-    float stop;
-} picture;
-
-enum { BATCH = 32 };                   /* splats between two looks for blocks that are closed */
-#define SPAN_PAD 0.01f                 /* px, and this share of its length: what a row's span is padded by */
-#define SPAN_SLACK 4e-4f              /* the rough square root is good to 3e-4 */
-#define REACH_SLACK 1e-4f              /* w and v are rounded a hundred times finer */
-_Alignas(64) static const float ROWS[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-
-/* composite_tile(out, records, splats, ids, count, x0, y0, columns, rows): the pixels of one block
- * of columns x rows, at most TILE each, with its top left at x0, y0; 1 if an id is out of range. */
-typedef int composite_function(const picture *, const record *, int64_t, const int32_t *, int64_t,
-                               int32_t, int32_t, int32_t, int32_t);
-
-#include "vec_generic.h"
-#if defined(__x86_64__) && defined(__GNUC__)
-#include <immintrin.h>
-#include "vec_avx2.h"
-#include "vec_avx512.h"
-#endif
-
-static composite_function *composite_tile = composite_tile_generic;
-
-int tsplat_isas(void) {
-    int found = TSPLAT_GENERIC;
-#if defined(__x86_64__) && defined(__GNUC__)
-    __builtin_cpu_init();
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) found |= TSPLAT_AVX2;
-    if (found & TSPLAT_AVX2 && __builtin_cpu_supports("avx512f") &&
-        __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
-        __builtin_cpu_supports("avx512vl"))
-        found |= TSPLAT_AVX512;
-#endif
-    return found;
-}
-
-int tsplat_use_isa(int isa) {
-    if (!(isa & tsplat_isas())) return TSPLAT_BAD_ISA;
-    composite_tile = composite_tile_generic;
-#if defined(__x86_64__) && defined(__GNUC__)
-    if (isa == TSPLAT_AVX2) composite_tile = composite_tile_avx2;
-    if (isa == TSPLAT_AVX512) composite_tile = composite_tile_avx512;
-#endif
-    return 0;
-}
 
 static void pack(const tsplat_splats *s, int64_t k, float log2_threshold, record *out) {
     const double unit = 0.84932180028801907; /* sqrt(log2(e) / 2) */

@@ -27,4 +27,31 @@
 #define BITS(m) ((unsigned)(m))
 #define ROUND(a) _mm512_roundscale_ps(a, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC)
 #define SCALE(p, n) _mm512_scalef_ps(p, n)
+
+/* Half as many doubles. */
+#define VD __m512d
+#define DLOAD(p) _mm512_load_pd(p)
+#define DSTORE(p, v) _mm512_store_pd(p, v)
+#define DSET1(x) _mm512_set1_pd(x)
+#define DADD(a, b) _mm512_add_pd(a, b)
+#define DSUB(a, b) _mm512_sub_pd(a, b)
+#define DMUL(a, b) _mm512_mul_pd(a, b)
+#define DDIV(a, b) _mm512_div_pd(a, b)
+#define DFMA(a, b, c) _mm512_fmadd_pd(a, b, c)
+#define DFNMA(a, b, c) _mm512_fnmadd_pd(a, b, c)
+#define DMIN(a, b) _mm512_min_pd(a, b)
+#define DMAX(a, b) _mm512_max_pd(a, b)
+#define DABS(a) _mm512_abs_pd(a)
+#define DLT_BITS(a, b) ((unsigned)_mm512_cmp_pd_mask(a, b, _CMP_LT_OQ))
+#define DLE_BITS(a, b) ((unsigned)_mm512_cmp_pd_mask(a, b, _CMP_LE_OQ))
+#define LOW(a) _mm512_cvtps_pd(_mm512_castps512_ps256(a))
+#define HIGH(a) _mm512_cvtps_pd(_mm512_extractf32x8_ps(a, 1))
+#define JOIN(a, b) _mm512_insertf32x8( \
+    _mm512_castps256_ps512(_mm512_cvtpd_ps(a)), _mm512_cvtpd_ps(b), 1)
+#define DIV(a, b) _mm512_div_ps(a, b)
+#define SQRT(a) _mm512_sqrt_ps(a)
+#define EXPONENT(a) _mm512_getexp_ps(a)
+#define MANTISSA(a) _mm512_getmant_ps(a, _MM_MANT_NORM_1_2, _MM_MANT_SIGN_zero)
 #include "composite_template.h"
+#include "project_template.h"
+#include "vec_undef.h"
