@@ -6,8 +6,12 @@ Without a working compiler the install still succeeds: the compiler's complaint 
 
 from __future__ import annotations
 
+import os
+import re
 import runpy
+import sys
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
 from setuptools import setup
@@ -21,11 +25,29 @@ FLAGS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fno-trappi
 OPENMP_PROBE = "#include <omp.h>\nint main(void) { return omp_get_max_threads() < 1; }\n"
 
 
+@contextmanager
+def complaints(kept: list[str]):
+    """Passes on what is written to stderr meanwhile, and keeps its lines that tell of errors."""
+    with tempfile.TemporaryFile() as stream:
+        sys.stderr.flush()
+        before = os.dup(2)
+        os.dup2(stream.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+            stream.seek(0)
+            text = stream.read().decode(errors="replace")
+            sys.stderr.write(text)
+            kept += [line.strip() for line in text.splitlines() if "error" in line.lower()][:3]
+
+
 class BuildKernel(build_ext):
     """``build_ext`` that probes for OpenMP and outlives a missing compiler."""
 
     def _has_openmp(self) -> bool:
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder, complaints([]):
             source = Path(folder) / "probe.c"
             source.write_text(OPENMP_PROBE)
             try:
@@ -50,12 +72,18 @@ class BuildKernel(build_ext):
             openmp = ["-fopenmp"] if self._has_openmp() else []
             ext.extra_compile_args = FLAGS + openmp
             ext.extra_link_args = openmp
+        kept: list[str] = []
         try:
-            super().build_extension(ext)
+            with complaints(kept):
+                super().build_extension(ext)
         except Exception as error:
+            # A command line of thirty flags says less than the compiler's name.
+            cause = re.sub(
+                r"[Cc]ommand '?\[?'?([^', ]+).*?\]?'? (failed|returned)", r"\1 \2", str(error)
+            )
             report.parent.mkdir(parents=True, exist_ok=True)
-            report.write_text(f"{type(error).__name__}: {error}\n")
-            self.warn(f"the C kernel was not built ({error}); tsplat works without it, slower")
+            report.write_text("\n".join([cause, *kept]) + "\n")
+            self.warn(f"the C kernel was not built ({cause}); tsplat works without it, slower")
 
 
 build = runpy.run_path(str(KERNEL / "build.py"))

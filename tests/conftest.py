@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,12 @@ def straight(width=21, height=21, focal=100.0, **kwargs):
     k = intrinsics(width, height, 90)
     k[0, 0] = k[1, 1] = focal
     return Camera(np.eye(4), k, width, height, **kwargs)
+
+
+def hear_signals():
+    """For a child before exec: signals that nohup or a background shell ignored are heard again."""
+    for signum in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+        signal.signal(signum, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")

@@ -266,7 +266,8 @@ def test_errors_are_one_line_and_exit_1(words, text, ply, camera_file, tmp_path)
     [
         (("rendr",), "did you mean 'render'"),
         (("render", "--size", "12"), "WIDTHxHEIGHT"),
-        (("render", "-o", "x.png", "--eye", "1,2"), "three numbers"),
+        (("render", "-o", "x.png", "--eye", "1,2"), "three finite numbers"),
+        (("render", "-o", "x.png", "--eye", "1e200,0,0"), "three finite numbers"),
         (("render", "-o", "x.png", "--background", "255,0,0"), "0 to 1"),
         (("render", "-o", "x.png", "--threads", "0"), "from 1 on"),
         (("render",), "-o"),
@@ -319,6 +320,26 @@ def test_without_a_scene_the_demo_is_rendered(tmp_path):
     facts = json.loads(tsplat("render", "-o", out, "--size", "160x90", "--json").stdout)
     assert facts["gaussians"] > 10_000
     assert np.asarray(Image.open(out)).std() > 10
+
+
+@pytest.mark.parametrize("words", [("plugins",), ("info", "SCENE"), ("--print-completion", "zsh")])
+def test_a_full_disk_is_one_line(ply, words):
+    """Output that cannot be written is an error in words."""
+    full = [sys.executable, "-m", "tsplat", *(str(ply) if w == "SCENE" else w for w in words)]
+    with Path("/dev/full").open("w") as stream:
+        run = subprocess.run(full, stdout=stream, stderr=subprocess.PIPE, cwd=ROOT, check=False)
+    assert run.returncode == 1
+    assert run.stderr.startswith(b"tsplat: standard output cannot be written: No space left")
+    assert run.stderr.count(b"\n") == 1
+
+
+@pytest.mark.parametrize("closed", ["1>&-", "2>&-", "1>&- 2>&-"])
+def test_closed_streams_do_not_stop_the_work(ply, tmp_path, closed):
+    """The picture is made and the exit code is 0 although there is nobody to tell."""
+    out = tmp_path / "x.png"
+    command = f"exec {sys.executable} -m tsplat render {ply} -o {out} --size 32x24 {closed}"
+    assert subprocess.run(["sh", "-c", command], cwd=ROOT, check=False).returncode == 0
+    assert out.is_file()
 
 
 def test_the_version_comes_from_one_place():

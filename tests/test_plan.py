@@ -79,11 +79,13 @@ def test_a_partial_backend_is_completed():
         make_plan(SCENE, backend="bin=sorter", registry=registry(partial))
 
 
-@pytest.mark.parametrize("text", ["paint=cffi", "sort=", "sort=cffi,bin", "=cffi"])
+@pytest.mark.parametrize("text", ["paint=cffi", "sort=", "sort=cffi,bin", "=cffi", ""])
 def test_a_malformed_choice_is_explained(text):
     """STAGE=NAME,... with a stage that is not one, or without a name."""
-    with pytest.raises(PluginError, match="expected NAME or STAGE=NAME"):
+    with pytest.raises(PluginError, match=r"expected (NAME or|a name,) STAGE=NAME"):
         parse_backend(text)
+    with pytest.raises(PluginError, match="names sort twice"):
+        parse_backend("sort=cffi,sort=numba")
 
 
 def test_a_fused_backend_runs_the_whole_frame():

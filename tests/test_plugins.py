@@ -173,8 +173,15 @@ def test_tsplat_plugins_picks_third_party_plugins(install, monkeypatch, value, f
     install("raises", RAISES)
     monkeypatch.setenv("TSPLAT_PLUGINS", value)
     registry = find_plugins()
-    assert not registry.problems
+    assert [p.plugin for p in registry.problems] == (["other"] if "other" in value else [])
     assert {"fake"} & set(registry.backends) == found
+
+
+def test_a_picked_plugin_that_is_not_there_is_reported(monkeypatch):
+    """A misspelt name in TSPLAT_PLUGINS does not pass in silence."""
+    monkeypatch.setenv("TSPLAT_PLUGINS", "nonsense")
+    (problem,) = find_plugins().problems
+    assert "TSPLAT_PLUGINS names it" in problem.reason
 
 
 def test_an_unknown_name_lists_those_there_are():

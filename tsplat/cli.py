@@ -12,6 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TextIO
 
 from tsplat._version import __version__
 from tsplat.core.errors import TsplatError, printable
@@ -47,6 +48,17 @@ examples:
   tsplat render scene.ply -o - --ideal | convert - exact.jpg
   tsplat render scene.ply -o out.png --repeat 10 --json
 """
+INFO_EXAMPLES = """\
+examples:
+  tsplat info scene.ply
+  tsplat info scene.ply --json | jq .gaussians
+"""
+PLUGINS_EXAMPLES = """\
+examples:
+  tsplat plugins
+  TSPLAT_PLUGINS= tsplat plugins        without third-party plugins
+  TSPLAT_PLUGINS=a,b tsplat plugins     only these two
+"""
 CHECK_EXAMPLES = """\
 examples:
   tsplat check                            every backend on the demo scene
@@ -66,9 +78,11 @@ def _pair(text: str) -> tuple[int, int]:
 def _vector(text: str) -> tuple[float, float, float]:
     try:
         x, y, z = (float(part) for part in text.split(","))
+        if not all(abs(value) < 1e30 for value in (x, y, z)):
+            raise ValueError
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"expected three numbers, such as 0,-1,2.5, got {text!r}"
+            f"expected three finite numbers, such as 0,-1,2.5, got {text!r}"
         ) from None
     return x, y, z
 
@@ -192,8 +206,8 @@ def make_parser() -> argparse.ArgumentParser:
     _add_scene(render)
     render.add_argument(
         "-o", "--output", required=True, metavar="OUT",
-        help=".png .jpg .webp, .npy (float RGBA), .npz (rgb, transmittance, depth, camera), "
-        "- for PNG on stdout",
+        help=".png .jpg .webp, .npy (float32 premultiplied RGBA), "
+        ".npz (rgb, transmittance, depth, camera), - for PNG on stdout",
     )  # fmt: skip
     render.add_argument(
         "--size", type=_pair, metavar="WxH", help="px (the camera's own, or 1280x720)"
@@ -216,24 +230,28 @@ def make_parser() -> argparse.ArgumentParser:
     )
     render.add_argument("--json", action="store_true", help="print facts and timings as JSON")
 
-    info = add("info", "say what is in a scene file")
+    info = add("info", "say what is in a scene file", INFO_EXAMPLES)
     _add_scene(info, optional=False)
-    _add_engine(info)
     info.add_argument("--json", action="store_true", help="print it as JSON")
 
-    plugins = add("plugins", "list backends, presenters and readers")
+    plugins = add("plugins", "list backends, presenters and readers", PLUGINS_EXAMPLES)
     plugins.add_argument("--json", action="store_true", help="print it as JSON")
 
     check = add("check", "compare every backend with the reference", CHECK_EXAMPLES)
     _add_scene(check)
     check.add_argument("--backend", metavar="B", help="only this one (default: all available)")
     check.add_argument(
-        "--size", type=_pair, metavar="WxH", help="px (the camera's own, or 320x200)"
+        "--size",
+        type=_pair,
+        metavar="WxH",
+        help="px (the camera's own, made smaller than 640, or 320x200)",
     )
     check.add_argument("--camera", metavar="FILE[#INDEX]", help="default: frames the scene")
-    check.add_argument("--threads", type=_threads, metavar="N")
-    check.add_argument("--antialias", action="store_true")
-    check.add_argument("--sh-degree", type=int, choices=range(4), default=3, metavar="D")
+    check.add_argument("--threads", type=_threads, metavar="N", help="default: every CPU")
+    check.add_argument("--antialias", action="store_true", help="check the antialiased picture")
+    check.add_argument(
+        "--sh-degree", type=int, choices=range(4), default=3, metavar="D", help="0 to 3 (default)"
+    )
     check.add_argument("--json", action="store_true", help="print the verdicts as JSON")
     return parser
 
@@ -265,24 +283,37 @@ def _arranged(argv: Sequence[str], parser: argparse.ArgumentParser) -> list[str]
     return ["view", *out]
 
 
-def _print_completion(parser: argparse.ArgumentParser, shell: str) -> int:
-    import shtab
+def _run(words: Sequence[str], parser: argparse.ArgumentParser) -> int:
+    if words[:1] == ["--print-completion"] and words[1:] and words[1] in SHELLS:
+        import shtab
 
-    print(shtab.complete(parser, shell))
-    return 0
+        print(shtab.complete(parser, words[1]))
+        return 0
+    arguments = parser.parse_args(words)
+    module = importlib.import_module(f"tsplat.commands.{arguments.command}")
+    run: Callable[[argparse.Namespace], int] = module.run
+    return run(arguments)
+
+
+def _open_streams() -> None:
+    """Stands in for a stdout or stderr that the caller has closed, which Python leaves as None."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("w"))  # noqa: SIM115 - until exit
+
+
+def _silence(stream: TextIO) -> None:
+    """Lets what is still buffered go nowhere: its reader is gone, or the disk is full."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; the exit code: 0, 1 for an error or a broken contract, 2 for usage."""
+    _open_streams()
     parser = make_parser()
     words = _arranged(sys.argv[1:] if argv is None else argv, parser)
-    if words[:1] == ["--print-completion"] and words[1:] and words[1] in SHELLS:
-        return _print_completion(parser, words[1])
-    arguments = parser.parse_args(words)
     try:
-        module = importlib.import_module(f"tsplat.commands.{arguments.command}")
-        run: Callable[[argparse.Namespace], int] = module.run
-        code = run(arguments)
+        code = _run(words, parser)
         sys.stdout.flush()
         return code
     except TsplatError as error:
@@ -294,7 +325,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except MemoryError:
         print("tsplat: out of memory; try --max-splats or a smaller --size", file=sys.stderr)
         return 1
-    except BrokenPipeError:
-        # The reader of our output went away; there is nobody to tell.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # the reader of our output went away; there is nobody to tell
+        _silence(sys.stdout)
+        return 1
+    except OSError as error:
+        _silence(sys.stdout)
+        print(f"tsplat: standard output cannot be written: {error.strerror}", file=sys.stderr)
         return 1

@@ -113,6 +113,8 @@ def parse_backend(text: str) -> dict[str, str]:
     Raises:
         PluginError: not of that form, or no such stage.
     """
+    if not text.strip():
+        raise PluginError("--backend: expected a name, STAGE=NAME,... or auto, got nothing")
     if "=" not in text:
         return dict.fromkeys(STAGES, text.strip() or AUTO)
     wanted = dict.fromkeys(STAGES, AUTO)
@@ -123,6 +125,8 @@ def parse_backend(text: str) -> dict[str, str]:
                 f"--backend {printable(text)!r}: expected NAME or STAGE=NAME,... "
                 f"with stages {', '.join(STAGES)}"
             )
+        if wanted[stage] != AUTO:
+            raise PluginError(f"--backend {printable(text)!r} names {stage} twice")
         wanted[stage] = name
     return wanted
 

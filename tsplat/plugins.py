@@ -86,13 +86,19 @@ class Registry:
         table = self.table(kind)
         if name not in table:
             known = ", ".join(sorted(table))
-            raise PluginError(f"no {kind} named {printable(name)!r}; installed: {known}")
+            broken = "".join(f"; {problem}" for problem in self.problems)
+            raise PluginError(f"no {kind} named {printable(name)!r}; installed: {known}{broken}")
         return table[name]
 
 
-def _chosen(points: Iterable[EntryPoint]) -> Iterator[EntryPoint]:
+def _wanted() -> set[str] | None:
+    """The names that ``TSPLAT_PLUGINS`` picks; None for all."""
     wanted = os.environ.get(ENVIRONMENT)
-    names = None if wanted is None else {n.strip() for n in wanted.split(",")}
+    return None if wanted is None else {n.strip() for n in wanted.split(",")} - {""}
+
+
+def _chosen(points: Iterable[EntryPoint]) -> Iterator[EntryPoint]:
+    names = _wanted()
     for point in points:
         if names is None or point.name in names:
             yield point
@@ -167,7 +173,12 @@ def find_plugins() -> Registry:
         _add(registry, name, OWN, importlib.import_module(name))
     for problem in registry.problems:
         raise PluginError(str(problem))  # tsplat's own rows must be right
-    for point in sorted(_chosen(entry_points(group=hookspecs.PROJECT)), key=lambda p: p.name):
+    points = entry_points(group=hookspecs.PROJECT)
+    for name in sorted(_wanted() or set()):
+        if name not in points.names:
+            reason = f"{ENVIRONMENT} names it, but no such plugin is installed"
+            registry.problems.append(Problem(printable(name), "no distribution", reason))
+    for point in sorted(_chosen(points), key=lambda p: p.name):
         distribution = printable(point.dist.name if point.dist else "unknown")
         name = printable(point.name)
         try:
@@ -226,4 +237,4 @@ def ask(question: Callable[..., str | None], *arguments: object) -> str | None:
         answer = question(*arguments)
     except Exception as error:
         return _one_line(error)
-    return None if answer is None else printable(answer)
+    return None if answer is None else printable(answer, 600)

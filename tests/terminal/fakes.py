@@ -12,6 +12,8 @@ import termios
 import threading
 import time
 
+from tests.conftest import hear_signals
+
 DA1 = b"\x1b[?62;4;22c"
 
 
@@ -102,6 +104,7 @@ class FakeTerminal:
         """A Python process with this terminal as its controlling one."""
 
         def take_control():
+            hear_signals()
             fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
         return subprocess.Popen(

@@ -13,7 +13,7 @@ import sys
 import termios
 import time
 
-from tests.conftest import ROOT
+from tests.conftest import ROOT, hear_signals
 
 COLUMNS, ROWS = 60, 20
 LEAVE = b"\x1b[?1049l"
@@ -33,6 +33,7 @@ class Session:
         self.process = subprocess.Popen(
             [python, "-m", "tsplat", "view", *words], stdin=slave, stdout=slave,
             stderr=subprocess.PIPE, cwd=ROOT, env=environment, start_new_session=True,
+            preexec_fn=hear_signals,  # noqa: PLW1509 - no threads here
         )  # fmt: skip
         self.output = b""
         self.answered = 0

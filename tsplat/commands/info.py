@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tsplat.commands.common import load, params, print_json
+from tsplat.commands.common import load, print_json
 from tsplat.core.errors import printable
 from tsplat.core.types import Scene
 from tsplat.plan import Plan, make_plan
@@ -19,10 +19,7 @@ PERCENTILES = (0, 5, 50, 95, 100)
 def run(arguments: argparse.Namespace) -> int:
     """Loads and describes."""
     scene = load(arguments)
-    plan = make_plan(
-        scene, backend=arguments.backend, threads=arguments.threads, params=params(arguments)
-    )
-    facts = describe(scene, plan)
+    facts = describe(scene, make_plan(scene))
     if arguments.json:
         print_json(facts)
         return 0

@@ -138,9 +138,12 @@ def look_at(
     """
     where, at, upwards = (np.asarray(v, np.float64) for v in (eye, target, up))
     forward = at - where
-    distance = float(np.linalg.norm(forward))
+    distance = math.hypot(*forward)
     if not (math.isfinite(distance) and distance > 0):
-        raise CameraError(f"look_at: eye and target must differ, got {where.tolist()} twice")
+        raise CameraError(
+            "look_at: expected eye and target to be finite and to differ, "
+            f"got {where.tolist()} and {at.tolist()}"
+        )
     forward = forward / distance
     right = np.cross(forward, upwards)
     length = float(np.linalg.norm(right))

@@ -22,6 +22,7 @@ ODDITIES = (
     "threads",  # one axis some 10,000 times the others, across the whole picture
     "discs",  # one axis 1000 times thinner
     "opaque",  # stacks that stop pixels early
+    "walls",  # opaque and larger than the picture, so that alpha meets its cap
     "faint",  # alpha just above and below the threshold
     "tiny",  # far below a pixel
     "giants",  # cover the picture, some around the camera
@@ -69,6 +70,10 @@ def make_scene(seed: int, n: int, degree: int, oddities: frozenset[str]) -> Scen
         scales[some(), 2] *= 1e-3
     if "opaque" in oddities:
         opacities[some()] = 1.0
+    if "walls" in oddities:
+        wall = some()
+        opacities[wall] = 1.0
+        scales[wall] *= 50
     if "faint" in oddities:
         faint = some()
         opacities[faint] = ALPHA_THRESHOLD * rng.uniform(0.5, 2, faint.sum())

@@ -18,8 +18,8 @@ def unavailable() -> str | None:
     if find_spec("tsplat.backends.cffi._kernel") is not None:
         return None
     report = Path(__file__).with_name("build_error.txt")
-    cause = " ".join(report.read_text().split()) if report.is_file() else "not built at install"
-    return f"no C kernel: {cause}; {REMEDY}"
+    cause = " ".join(report.read_text().split()) if report.is_file() else "no attempt was made"
+    return f"no C kernel: {REMEDY}. It was not built: {cause}"
 
 
 def cannot(scene: Scene, params: RenderParams) -> str | None:
