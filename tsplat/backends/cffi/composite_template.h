@@ -99,17 +99,17 @@ TARGET static inline void NAME(draw)(NAME(tile) *s, const record *p, int j, int 
     VF x = FNMA(v, v, FNMA(w, w, SET1(p->level)));
     VM reached = GE(x, floor_);
     x = MAX(x, floor_); /* no denormals, which cost a hundred times as much */
-    VF n = ROUND(x), f = SUB(x, n);
-    VF e = FMA(f, SET1((float)EXP2_POLY_6), SET1((float)EXP2_POLY_5));
-    e = FMA(e, f, SET1((float)EXP2_POLY_4));
-    e = FMA(e, f, SET1((float)EXP2_POLY_3));
-    e = FMA(e, f, SET1((float)EXP2_POLY_2));
-    e = FMA(e, f, SET1((float)EXP2_POLY_1));
-    e = FMA(e, f, SET1((float)EXP2_POLY_0));
-    VF alpha = MIN(SCALE(e, n), SET1((float)ALPHA_MAX));
-    VF t = LOAD(s->t + at), next = FNMA(t, alpha, t);
+    /* alpha = 2^n 2^f; the polynomial in pairs, since a pixel waits for it */
+    VF shifted = ADD(x, SET1(ROUNDING)), f = SUB(x, SUB(shifted, SET1(ROUNDING))), f2 = MUL(f, f);
+    VF low = FMA(f, SET1((float)EXP2_POLY_1), SET1((float)EXP2_POLY_0));
+    VF middle = FMA(f, SET1((float)EXP2_POLY_3), SET1((float)EXP2_POLY_2));
+    VF high = FMA(f, SET1((float)EXP2_POLY_5), SET1((float)EXP2_POLY_4));
+    high = FMA(f2, SET1((float)EXP2_POLY_6), high);
+    VF alpha = SCALE(FMA(FMA(high, f2, middle), f2, low), shifted);
+    alpha = MIN(alpha, SET1((float)ALPHA_MAX));
+    VF t = LOAD(s->t + at), part = MUL(t, alpha), next = SUB(t, part);
     VM drawn = BOTH(GT(next, stop), reached);
-    VF weight = KEEP(drawn, MUL(t, alpha));
+    VF weight = KEEP(drawn, part);
     STORE(s->t + at, PICK(drawn, next, NEGATE(BUT_NOT(reached, drawn), t)));
     STORE(s->r + at, FMA(weight, SET1(p->r), LOAD(s->r + at)));
     STORE(s->g + at, FMA(weight, SET1(p->g), LOAD(s->g + at)));

@@ -53,6 +53,7 @@ typedef struct {
 enum { BATCH = 32 };                   /* splats between two looks for blocks that are closed */
 #define SPAN_PAD 0.01f                 /* px, and this share of its length: what a row's span is padded by */
 #define SPAN_SLACK 4e-4f              /* the rough square root is good to 3e-4 */
+#define ROUNDING 12582912.0f           /* 1.5 * 2^23: adding it rounds to an integer, in the low bits */
 #define REACH_SLACK 1e-4f              /* w and v are rounded a hundred times finer */
 _Alignas(64) static const float ROWS[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 

@@ -25,9 +25,8 @@
 #define PICK(m, a, b) _mm256_blendv_ps(b, a, m)
 #define NEGATE(m, a) _mm256_or_ps(a, _mm256_and_ps(m, _mm256_set1_ps(-0.0f)))
 #define BITS(m) ((unsigned)_mm256_movemask_ps(m))
-#define ROUND(a) _mm256_round_ps(a, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC)
 #define SCALE(p, n) _mm256_castsi256_ps(_mm256_add_epi32( \
-    _mm256_castps_si256(p), _mm256_slli_epi32(_mm256_cvtps_epi32(n), 23)))
+    _mm256_castps_si256(p), _mm256_slli_epi32(_mm256_castps_si256(n), 23)))
 
 /* Half as many doubles. */
 #define VD __m256d

@@ -25,8 +25,8 @@
 #define PICK(m, a, b) _mm512_mask_mov_ps(b, m, a)
 #define NEGATE(m, a) _mm512_mask_or_ps(a, m, a, _mm512_set1_ps(-0.0f))
 #define BITS(m) ((unsigned)(m))
-#define ROUND(a) _mm512_roundscale_ps(a, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC)
-#define SCALE(p, n) _mm512_scalef_ps(p, n)
+#define SCALE(p, n) _mm512_castsi512_ps(_mm512_add_epi32( \
+    _mm512_castps_si512(p), _mm512_slli_epi32(_mm512_castps_si512(n), 23)))
 
 /* Half as many doubles. */
 #define VD __m512d

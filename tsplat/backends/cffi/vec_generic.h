@@ -27,8 +27,7 @@ typedef int32_t vi4 __attribute__((vector_size(16)));
 #define PICK(m, a, b) pick4((m), (a), (b))
 #define NEGATE(m, a) ((vf4)((vi4)(a) | ((m) & (int32_t)0x80000000)))
 #define BITS(m) bits4(m)
-#define ROUND(a) (((a) + 12582912.0f) - 12582912.0f) /* 1.5 * 2^23 */
-#define SCALE(p, n) ((vf4)((vi4)(p) + (((vi4)((n) + 12582912.0f)) << 23)))
+#define SCALE(p, n) ((vf4)((vi4)(p) + ((vi4)(n) << 23))) /* n: an integer plus ROUNDING */
 
 static inline vf4 pick4(vi4 m, vf4 a, vf4 b) { return (vf4)(((vi4)a & m) | ((vi4)b & ~m)); }
 static inline unsigned bits4(vi4 m) {

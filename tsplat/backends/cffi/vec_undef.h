@@ -27,7 +27,6 @@
 #undef PICK
 #undef NEGATE
 #undef BITS
-#undef ROUND
 #undef SCALE
 #undef VD
 #undef DLOAD
