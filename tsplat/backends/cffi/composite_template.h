@@ -32,21 +32,34 @@ _Alignas(64) static const float NAME(lane_y)[] = {0, 0, 0, 0};
 _Alignas(64) static const float NAME(block_x)[] = {COLUMN(0), COLUMN(4), COLUMN(8), COLUMN(12)};
 _Alignas(64) static const float NAME(block_y)[] = {COLUMN_ROWS, COLUMN_ROWS, COLUMN_ROWS, COLUMN_ROWS};
 
+/* Pixels of a block: transmittance, negative once stopped; colour sums; depth sum. */
 typedef struct {
-    /* per block, LANES values each */
-    _Alignas(64) float t[BLOCKS * LANES], r[BLOCKS * LANES], g[BLOCKS * LANES];
-    _Alignas(64) float b[BLOCKS * LANES], z[BLOCKS * LANES];
-    /* per splat of a batch: exponent products at the lanes of a block, and at each block's corner */
-    _Alignas(64) float lane_w[BATCH][LANES], lane_v[BATCH][LANES];
-    _Alignas(64) float corner_w[BATCH][BLOCKS], corner_v[BATCH][BLOCKS];
-    uint16_t list[BATCH * BLOCKS]; /* splat of the batch * BLOCKS + block */
+    _Alignas(4 * LANES) float t[LANES], r[LANES], g[LANES], b[LANES], z[LANES];
+} NAME(pixels);
+
+/* A splat on this tile: the exponent's products w and v at the lanes of a block, and at each
+ * block's corner. */
+typedef struct {
+    _Alignas(64) float lane_w[LANES], lane_v[LANES], corner_w[BLOCKS], corner_v[BLOCKS];
+    float level, r, g, b, z;
+} NAME(placed);
+
+/* A splat on a block: byte offsets into placed, pixels and the corners. */
+typedef struct {
+    uint16_t splat, block, corner, unused;
+} NAME(entry);
+
+typedef struct {
+    _Alignas(64) NAME(pixels) pixels[BLOCKS];
+    _Alignas(64) NAME(placed) placed[BATCH];
+    NAME(entry) list[BATCH * BLOCKS];
 } NAME(tile);
 
 /* Blocks that have an open pixel: bit BLOCK_H * block of the result. */
 TARGET static uint64_t NAME(open_blocks)(const NAME(tile) *s) {
     uint64_t open = 0;
     for (int k = 0; k < BLOCKS; k++)
-        open |= (uint64_t)(BITS(GT(LOAD(s->t + k * LANES), SET1(0.0f))) != 0) << (BLOCK_H * k);
+        open |= (uint64_t)(BITS(GT(LOAD(s->pixels[k].t), SET1(0.0f))) != 0) << (BLOCK_H * k);
     return open;
 }
 
@@ -75,28 +88,32 @@ TARGET static inline uint64_t NAME(reached)(const record *p, int32_t x0, int32_t
     return hit;
 }
 
-/* The exponent's products w and v of splat j at every lane of a block and at every block's corner.
- * At the tile's corner they are worked out in double: far from a needle's middle terms cancel. */
-TARGET static inline void NAME(place)(NAME(tile) *s, int j, const record *p, int32_t x0, int32_t y0) {
+/* Fills a splat in. At the tile's corner its products are worked out in double: far from a needle's
+ * middle terms cancel. */
+TARGET static inline void NAME(place)(NAME(placed) *s, const record *p, int32_t x0, int32_t y0) {
     double dx = x0 + 0.5 - p->mean_x, dy = y0 + 0.5 - p->mean_y;
     VF w = SET1((float)(p->u11 * dx + p->u12 * dy)), v = SET1((float)(p->u22 * dy));
     VF u11 = SET1(p->u11), u12 = SET1(p->u12), u22 = SET1(p->u22);
-    STORE(s->lane_w[j], FMA(u11, LOAD(NAME(lane_x)), MUL(u12, LOAD(NAME(lane_y)))));
-    STORE(s->lane_v[j], MUL(u22, LOAD(NAME(lane_y))));
+    STORE(s->lane_w, FMA(u11, LOAD(NAME(lane_x)), MUL(u12, LOAD(NAME(lane_y)))));
+    STORE(s->lane_v, MUL(u22, LOAD(NAME(lane_y))));
     for (int k = 0; k < BLOCKS; k += LANES) {
         VF y = LOAD(NAME(block_y) + k);
-        STORE(s->corner_w[j] + k, FMA(u11, LOAD(NAME(block_x) + k), FMA(u12, y, w)));
-        STORE(s->corner_v[j] + k, FMA(u22, y, v));
+        STORE(s->corner_w + k, FMA(u11, LOAD(NAME(block_x) + k), FMA(u12, y, w)));
+        STORE(s->corner_v + k, FMA(u22, y, v));
     }
+    s->level = p->level;
+    s->r = p->r, s->g = p->g, s->b = p->b, s->z = p->z;
 }
 
-/* Draws a splat on a block: level - w^2 - v^2 is the base-2 logarithm of its alpha. */
-TARGET static inline void NAME(draw)(NAME(tile) *s, const record *p, int j, int block, VF floor_,
-                                     VF stop, int want_depth) {
-    int at = block * LANES;
-    VF w = ADD(LOAD(s->lane_w[j]), SET1(s->corner_w[j][block]));
-    VF v = ADD(LOAD(s->lane_v[j]), SET1(s->corner_v[j][block]));
-    VF x = FNMA(v, v, FNMA(w, w, SET1(p->level)));
+/* Draws a splat on a block: level - w^2 - v^2 is the base-2 logarithm of its alpha. The number of
+ * steps counts: the processor sees only a few entries ahead. */
+TARGET static inline void NAME(draw)(NAME(tile) *s, NAME(entry) e, VF floor_, VF stop, int want_depth) {
+    const char *p = (const char *)s->placed + e.splat, *corner = p + e.corner;
+    NAME(pixels) *to = (NAME(pixels) *)((char *)s->pixels + e.block);
+    const NAME(placed) *splat = (const NAME(placed) *)p;
+    VF w = ADD(LOAD(splat->lane_w), SET1(((const NAME(placed) *)corner)->corner_w[0]));
+    VF v = ADD(LOAD(splat->lane_v), SET1(((const NAME(placed) *)corner)->corner_v[0]));
+    VF x = FNMA(v, v, FNMA(w, w, SET1(splat->level)));
     VM reached = GE(x, floor_);
     x = MAX(x, floor_); /* no denormals, which cost a hundred times as much */
     /* alpha = 2^n 2^f; the polynomial in pairs, since a pixel waits for it */
@@ -107,14 +124,14 @@ TARGET static inline void NAME(draw)(NAME(tile) *s, const record *p, int j, int 
     high = FMA(f2, SET1((float)EXP2_POLY_6), high);
     VF alpha = SCALE(FMA(FMA(high, f2, middle), f2, low), shifted);
     alpha = MIN(alpha, SET1((float)ALPHA_MAX));
-    VF t = LOAD(s->t + at), part = MUL(t, alpha), next = SUB(t, part);
+    VF t = LOAD(to->t), part = MUL(t, alpha), next = SUB(t, part);
     VM drawn = BOTH(GT(next, stop), reached);
     VF weight = KEEP(drawn, part);
-    STORE(s->t + at, PICK(drawn, next, NEGATE(BUT_NOT(reached, drawn), t)));
-    STORE(s->r + at, FMA(weight, SET1(p->r), LOAD(s->r + at)));
-    STORE(s->g + at, FMA(weight, SET1(p->g), LOAD(s->g + at)));
-    STORE(s->b + at, FMA(weight, SET1(p->b), LOAD(s->b + at)));
-    if (want_depth) STORE(s->z + at, FMA(weight, SET1(p->z), LOAD(s->z + at)));
+    STORE(to->t, PICK(drawn, next, NEGATE(BUT_NOT(reached, drawn), t)));
+    STORE(to->r, FMA(weight, SET1(splat->r), LOAD(to->r)));
+    STORE(to->g, FMA(weight, SET1(splat->g), LOAD(to->g)));
+    STORE(to->b, FMA(weight, SET1(splat->b), LOAD(to->b)));
+    if (want_depth) STORE(to->z, FMA(weight, SET1(splat->z), LOAD(to->z)));
 }
 
 /* See composite_tile in kernel.c. */
@@ -125,50 +142,56 @@ TARGET static int NAME(composite_tile)(const picture *out, const record *records
     int want_depth = out->depth != NULL;
     VF floor_ = SET1(out->floor), stop = SET1(out->stop);
     for (int64_t j = 0; j < min64(BATCH, count); j++) PREFETCH(records + ids[j]);
-    memset(s.r, 0, sizeof s.r);
-    memset(s.g, 0, sizeof s.g);
-    memset(s.b, 0, sizeof s.b);
-    if (want_depth) memset(s.z, 0, sizeof s.z);
-    for (int k = 0; k < BLOCKS; k++)
+    for (int k = 0; k < BLOCKS; k++) {
+        memset(&s.pixels[k], 0, sizeof s.pixels[k]);
         for (int l = 0; l < LANES; l++) { /* pixels outside the picture are stopped from the start */
             int x = 4 * (k / DOWN) + l % 4, y = BLOCK_H * (k % DOWN) + l / 4;
-            s.t[k * LANES + l] = x < columns && y < rows ? 1.0f : -1.0f;
+            s.pixels[k].t[l] = x < columns && y < rows ? 1.0f : -1.0f;
         }
+    }
     for (int64_t begin = 0; begin < count; begin += BATCH) {
-        int n = (int)min64(BATCH, count - begin), entries = 0;
+        int n = (int)min64(BATCH, count - begin), found = 0;
         const int32_t *id = ids + begin;
-        uint64_t open = NAME(open_blocks)(&s);
+        uint64_t open = NAME(open_blocks)(&s), masks[BATCH];
+        uint8_t which[BATCH];
         if (!open) break;
         for (int j = 0; j < n; j++)
             if (id[j] < 0 || id[j] >= splats) return 1;
         for (int64_t j = begin + BATCH; j < min64(begin + 2 * BATCH, count); j++)
             PREFETCH(records + ids[j]); /* a wrong one does no harm */
+        /* In turn, each without branches that would have to wait for sums. */
+        for (int j = 0; j < n; j++) masks[j] = NAME(reached)(records + id[j], x0, y0) & open;
         for (int j = 0; j < n; j++) {
-            const record *p = records + id[j];
-            uint64_t mask = NAME(reached)(p, x0, y0) & open; /* open has only every BLOCK_H-th bit */
-            if (!mask) continue;
-            NAME(place)(&s, j, p, x0, y0);
-            for (; mask; mask &= mask - 1)
-                s.list[entries++] = (uint16_t)(j * BLOCKS + __builtin_ctzll(mask) / BLOCK_H);
+            which[found] = (uint8_t)j;
+            found += masks[j] != 0;
         }
-        for (int i = 0; i < entries; i++) {
-            int j = s.list[i] / BLOCKS;
-            NAME(draw)(&s, records + id[j], j, s.list[i] % BLOCKS, floor_, stop, want_depth);
+        NAME(entry) *last = s.list;
+        for (int i = 0; i < found; i++) {
+            NAME(place)(s.placed + i, records + id[which[i]], x0, y0);
+            for (uint64_t mask = masks[which[i]]; mask; mask &= mask - 1) {
+                int block = __builtin_ctzll(mask) / BLOCK_H;
+                *last++ = (NAME(entry)){(uint16_t)(i * sizeof s.placed[0]),
+                                        (uint16_t)(block * sizeof s.pixels[0]),
+                                        (uint16_t)(block * sizeof(float)), 0};
+            }
         }
+        for (const NAME(entry) *e = s.list; e < last; e++)
+            NAME(draw)(&s, *e, floor_, stop, want_depth);
     }
     for (int y = 0; y < rows; y++) {
         for (int x = 0; x < columns; x += 4) {
-            int at = ((x / 4) * DOWN + y / BLOCK_H) * LANES + y % BLOCK_H * 4;
+            const NAME(pixels) *from = &s.pixels[(x / 4) * DOWN + y / BLOCK_H];
+            int at = y % BLOCK_H * 4;
             int64_t place = (int64_t)(y0 + y) * out->width + x0 + x;
             float *rgb = out->rgb + 3 * place, *t = out->transmittance + place;
             int n = columns - x < 4 ? columns - x : 4;
             for (int i = 0; i < n; i++) {
-                rgb[3 * i] = s.r[at + i];
-                rgb[3 * i + 1] = s.g[at + i];
-                rgb[3 * i + 2] = s.b[at + i];
-                t[i] = fabsf(s.t[at + i]);
+                rgb[3 * i] = from->r[at + i];
+                rgb[3 * i + 1] = from->g[at + i];
+                rgb[3 * i + 2] = from->b[at + i];
+                t[i] = fabsf(from->t[at + i]);
             }
-            if (want_depth) memcpy(out->depth + place, s.z + at, sizeof(float) * n);
+            if (want_depth) memcpy(out->depth + place, from->z + at, sizeof(float) * n);
         }
     }
     return 0;
