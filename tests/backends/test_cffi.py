@@ -62,10 +62,10 @@ def test_float64_is_refused_with_a_reason():
 
 
 def test_splats_of_the_wrong_type_are_refused(stages):
-    """A float64 array from another backend is an error, not a reinterpretation of its bytes."""
+    """A float32 array from another backend is an error, not a reinterpretation of its bytes."""
     splats, bins, workspace = stages
-    wrong = replace(splats, means2d=splats.means2d.astype(np.float64))
-    with pytest.raises(SceneError, match=r"Splats.means2d: expected .*float32 \[2, 2\]"):
+    wrong = replace(splats, means2d=splats.means2d.astype(np.float32))
+    with pytest.raises(SceneError, match=r"Splats.means2d: expected .*float64 \[2, 2\]"):
         wrap.composite(wrong, bins, PARAMS, workspace)
 
 

@@ -44,7 +44,7 @@ def _float32_subtraction(splats, scene, camera, params):
     z = np.where(p[:, 2] > 0, p[:, 2], 1)
     k = camera.K.astype(np.float32)
     means = np.stack([k[0, 0] * p[:, 0] / z + k[0, 2], k[1, 1] * p[:, 1] / z + k[1, 2]], 1)
-    return replace(splats, means2d=means.astype(np.float32))
+    return replace(splats, means2d=means.astype(np.float64))
 
 
 def _cancelling_determinant(splats, scene, camera, params):

@@ -183,7 +183,7 @@ def project(
             parts.append(part)
             overflowed += over
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    for name in ("means2d", "factors", "opacities", "colors", "radii"):
+    for name in ("factors", "opacities", "colors", "radii"):
         columns[name] = columns[name].astype(dtype)
     return Splats(**columns, width=camera.width, height=camera.height, overflowed=overflowed)
 
@@ -195,7 +195,7 @@ def sort(splats: Splats, workspace: Workspace | None = None) -> I32:
 
 def pixel_boxes(splats: Splats) -> tuple[I32, I32]:
     """First and last pixel [M, 2] whose centre lies in each splat's box, inside the picture."""
-    mean, radius = splats.means2d.astype(np.float64), splats.radii.astype(np.float64)
+    mean, radius = splats.means2d, splats.radii.astype(np.float64)
     last = np.array([splats.width - 1, splats.height - 1])
     low = np.clip(np.ceil(mean - radius - 0.5), 0, last + 1)
     high = np.clip(np.floor(mean + radius - 0.5), -1, last)
@@ -256,16 +256,16 @@ def composite(
     if margins is not None:
         margins[:] = np.inf
     for rows, columns, ids in tiles(splats, bins):
-        y = np.arange(rows.start, rows.stop)[:, None] + dtype(0.5)
-        x = np.arange(columns.start, columns.stop)[None, :] + dtype(0.5)
+        y = np.arange(rows.start, rows.stop)[:, None] + 0.5
+        x = np.arange(columns.start, columns.stop)[None, :] + 0.5
         t = transmittance[rows, columns]  # a view: written through
         stopped = np.zeros(t.shape, bool)
         for start in range(0, len(ids), DEEP):
             k = ids[start : start + DEEP]
-            mean_x, mean_y = splats.means2d[k].astype(dtype).T[:, :, None, None]
+            mean_x, mean_y = splats.means2d[k].T[:, :, None, None]
             u11, u12, u22 = splats.factors[k].astype(dtype).T[:, :, None, None]
             opacity = splats.opacities[k].astype(dtype)[:, None, None]
-            dx, dy = x - mean_x, y - mean_y
+            dx, dy = (x - mean_x).astype(dtype), (y - mean_y).astype(dtype)
             sigma = ((u11 * dx + u12 * dy) ** 2 + (u22 * dy) ** 2) / 2
             alpha = np.minimum(opacity * np.exp(-sigma), dtype(ALPHA_MAX))
             reached = alpha >= params.alpha_threshold

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -110,9 +111,9 @@ def check_project(stages: Stages, case: Case) -> Verdict:
     got = pipeline(stages)[0](case.scene, case.camera, case.params, Workspace(case.threads))
     ids, want = got.gaussian_ids, case.splats
     faults = [
-        f"Splats.{name}: expected float32 {[len(got), *shape]}, got {a.dtype} {list(a.shape)}"
-        for name, shape in _SPLAT_SHAPES.items()
-        if (a := getattr(got, name)).dtype != np.float32 or a.shape != (len(got), *shape)
+        f"Splats.{name}: expected {dtype} {[len(got), *shape]}, got {a.dtype} {list(a.shape)}"
+        for name, (dtype, *shape) in _SPLAT_TYPES.items()
+        if (a := getattr(got, name)).dtype != dtype or a.shape != (len(got), *shape)
     ]
     if (np.diff(ids) <= 0).any() or not ((ids >= 0) & (ids < len(case.scene))).all():
         faults.append("Splats.gaussian_ids must increase and point into the scene")
@@ -136,9 +137,14 @@ def check_project(stages: Stages, case: Case) -> Verdict:
     return _judge("project", compare_frames(case.picture(got, bins)[0], *case.contract), faults)
 
 
-_SPLAT_SHAPES: dict[str, tuple[int, ...]] = {
-    "means2d": (2,), "factors": (3,), "depths": (), "opacities": (), "colors": (3,), "radii": (2,),
-}  # fmt: skip
+_SPLAT_TYPES: dict[str, tuple[Any, ...]] = {
+    "means2d": ("float64", 2),
+    "factors": ("float32", 3),
+    "depths": ("float32",),
+    "opacities": ("float32",),
+    "colors": ("float32", 3),
+    "radii": ("float32", 2),
+}
 
 
 def check_sort(stages: Stages, case: Case) -> Verdict:

@@ -67,7 +67,7 @@ TARGET static uint64_t NAME(open_blocks)(const NAME(tile) *s) {
  * mean + shear dy, so the row is reached where w^2 <= reach - v^2: an interval, padded against
  * rounding. Rows are then merged into rows of blocks. */
 TARGET static inline uint64_t NAME(reached)(const record *p, int32_t x0, int32_t y0) {
-    VF mean_x = SET1(p->mean_x - ((float)x0 + 0.5f)), mean_y = SET1(p->mean_y - ((float)y0 + 0.5f));
+    VF mean_x = SET1((float)(p->mean_x - (x0 + 0.5))), mean_y = SET1((float)(p->mean_y - (y0 + 0.5)));
     VF slope = SET1(p->u22), reach = SET1(p->reach), shear = SET1(p->shear), tiny = SET1(1e-12f);
     VF inverse = SET1(p->inverse), pad = SET1(SPAN_PAD), slack = SET1(SPAN_SLACK);
     uint64_t hit = 0;

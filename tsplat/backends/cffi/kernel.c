@@ -35,11 +35,12 @@ static inline double clamp(double v, double low, double high) { return max_(low,
 /* A splat as compositing reads it: one cache line. Exponents are base 2: alpha = 2^(level - w^2 -
  * v^2) with w = u11 dx + u12 dy and v = u22 dy, the factors scaled by sqrt(log2(e) / 2). */
 typedef struct {
-    float mean_x, mean_y, u11, u12, u22, level;
+    double mean_x, mean_y;
+    float u11, u12, u22, level;
     float reach;          /* of w^2 + v^2, with some slack: alpha is below the threshold beyond */
     float shear, inverse; /* on a row: where w is 0, and how wide it runs, per unit */
     float r, g, b, z;
-    float unused[3];
+    float unused;
 } record;
 
 /* Where a tile's pixels go, and the two thresholds. */
@@ -191,13 +192,13 @@ int tsplat_gather(const float *scratch, const int32_t *chunk_counts, int64_t gau
         for (int64_t c = first; c < last; c++) {
             const float *in = scratch + c * CHUNK * RECORD;
             for (int32_t i = 0; i < chunk_counts[c]; i++, k++, in += RECORD) {
-                memcpy(splats->means2d + 2 * k, in, 2 * sizeof *in);
-                memcpy(splats->factors + 3 * k, in + 2, 3 * sizeof *in);
-                splats->depths[k] = in[5];
-                splats->opacities[k] = in[6];
-                memcpy(splats->colors + 3 * k, in + 7, 3 * sizeof *in);
-                memcpy(splats->radii + 2 * k, in + 10, 2 * sizeof *in);
-                memcpy(splats->gaussian_ids + k, in + 12, sizeof(int32_t));
+                memcpy(splats->means2d + 2 * k, in, 2 * sizeof(double));
+                memcpy(splats->factors + 3 * k, in + 4, 3 * sizeof *in);
+                splats->depths[k] = in[7];
+                splats->opacities[k] = in[8];
+                memcpy(splats->colors + 3 * k, in + 9, 3 * sizeof *in);
+                memcpy(splats->radii + 2 * k, in + 12, 2 * sizeof *in);
+                memcpy(splats->gaussian_ids + k, in + 14, sizeof(int32_t));
             }
         }
     }

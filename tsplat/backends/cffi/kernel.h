@@ -48,7 +48,7 @@ typedef struct {
 } tsplat_params;
 
 typedef struct {
-    float *means2d;             /* [M, 2] px */
+    double *means2d;            /* [M, 2] px */
     float *factors;             /* [M, 3] u11 u12 u22, 1/px */
     float *depths;              /* [M]    camera z */
     float *opacities;           /* [M] */

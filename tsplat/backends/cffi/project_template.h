@@ -137,25 +137,30 @@ TARGET static int NAME(project_group)(const tsplat_scene *s, const tsplat_camera
     /* u11 and u12 share one factor, so that their quotient, the tilt, is rounded only at the end. */
     VF share = DIV(one, MUL(width_y, root));
     VD share_low = LOW(share), share_high = HIGH(share), zero = DSET1(0.0);
-    _Alignas(64) float field[10][LANES];
-    STORE(field[0], mean_x);
-    STORE(field[1], mean_y);
-    STORE(field[2], JOIN(DMUL(var_y[0], share_low), DMUL(var_y[1], share_high)));
-    STORE(field[3], JOIN(DFNMA(g[0].xy, share_low, zero), DFNMA(g[1].xy, share_high, zero)));
-    STORE(field[4], DIV(one, width_y));
-    STORE(field[5], JOIN(g[0].z, g[1].z));
-    STORE(field[6], opacity);
-    STORE(field[7], radius_x);
-    STORE(field[8], radius_y);
+    _Alignas(64) float field[7][LANES];
+    _Alignas(64) double mean[2][LANES];
+    for (int h = 0; h < 2; h++) {
+        DSTORE(mean[0] + HALF * h, g[h].mean_x);
+        DSTORE(mean[1] + HALF * h, g[h].mean_y);
+    }
+    STORE(field[0], JOIN(DMUL(var_y[0], share_low), DMUL(var_y[1], share_high)));
+    STORE(field[1], JOIN(DFNMA(g[0].xy, share_low, zero), DFNMA(g[1].xy, share_high, zero)));
+    STORE(field[2], DIV(one, width_y));
+    STORE(field[3], JOIN(g[0].z, g[1].z));
+    STORE(field[4], opacity);
+    STORE(field[5], radius_x);
+    STORE(field[6], radius_y);
     int kept = 0;
     for (; seen; seen &= seen - 1, kept++, out += RECORD) {
         int l = __builtin_ctz(seen);
-        for (int k = 0; k < 7; k++) out[k] = field[k][l];
-        out[10] = field[7][l];
-        out[11] = field[8][l];
+        memcpy(out, &mean[0][l], sizeof(double)); /* two floats' room each */
+        memcpy(out + 2, &mean[1][l], sizeof(double));
+        for (int k = 0; k < 5; k++) out[4 + k] = field[k][l];
+        sh_color(s, cam, p->sh_degree, first + l, out + 9);
+        out[12] = field[5][l];
+        out[13] = field[6][l];
         int32_t id = (int32_t)(first + l);
-        memcpy(out + 12, &id, sizeof id);
-        sh_color(s, cam, p->sh_degree, first + l, out + 7);
+        memcpy(out + 14, &id, sizeof id);
     }
     return kept;
 }

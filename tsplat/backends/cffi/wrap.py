@@ -64,7 +64,7 @@ def _params(params: RenderParams, degree: int) -> Any:
 
 
 _SPLAT_ARRAYS: tuple[tuple[str, tuple[int, ...], type, str], ...] = (
-    ("means2d", (2,), np.float32, "float"),
+    ("means2d", (2,), np.float64, "double"),
     ("factors", (3,), np.float32, "float"),
     ("depths", (), np.float32, "float"),
     ("opacities", (), np.float32, "float"),

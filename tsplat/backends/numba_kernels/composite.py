@@ -13,7 +13,7 @@ import numpy as np
 
 from tsplat.backends.numba_kernels.jit import kernel
 from tsplat.core.constants import ALPHA_MAX, EXP2_POLY
-from tsplat.core.types import F32, I32, I64
+from tsplat.core.types import F32, F64, I32, I64
 
 RECORD = 16  # floats per splat: one cache line
 SIDE = 16  # px, of a patch
@@ -26,6 +26,7 @@ BATCH = 32  # splats between two looks for blocks that are closed
 
 # Fields of a record.
 MEAN_X, MEAN_Y, U11, U12, U22, LEVEL, REACH, SHEAR, INVERSE, RED, GREEN, BLUE, DEPTH = range(13)
+REST_X, REST_Y = 13, 14  # what float32 has left over of the mean
 # Values of a pixel. t is transmittance, negative once the pixel has stopped.
 T, R, G, B, Z = range(5)
 
@@ -47,7 +48,7 @@ WIDTH = np.float32(BLOCK_W)
 
 @kernel
 def pack_splats(
-    first: int, last: int, threshold: float, means2d: F32, factors: F32, depths: F32,
+    first: int, last: int, threshold: float, means2d: F64, factors: F32, depths: F32,
     opacities: F32, colors: F32, records: F32,
 ) -> None:  # fmt: skip
     """Rows ``first`` to ``last`` as records [M, RECORD]: what a patch needs, on one cache line."""
@@ -57,6 +58,8 @@ def pack_splats(
         reach = level - math.log2(threshold)
         records[k, MEAN_X] = means2d[k, 0]
         records[k, MEAN_Y] = means2d[k, 1]
+        records[k, REST_X] = means2d[k, 0] - np.float64(records[k, MEAN_X])
+        records[k, REST_Y] = means2d[k, 1] - np.float64(records[k, MEAN_Y])
         records[k, U11] = factors[k, 0]
         records[k, U12] = factors[k, 1]
         records[k, U22] = factors[k, 2]
@@ -179,8 +182,8 @@ def composite_patches(
                 step_v, level = np.float32(wide_v), batch[j, LEVEL]
                 red, green, blue = batch[j, RED], batch[j, GREEN], batch[j, BLUE]
                 z = batch[j, DEPTH]
-                dx0 = x0 + 0.5 - np.float64(batch[j, MEAN_X])
-                dy0 = y0 + 0.5 - np.float64(batch[j, MEAN_Y])
+                dx0 = x0 + 0.5 - np.float64(batch[j, MEAN_X]) - np.float64(batch[j, REST_X])
+                dy0 = y0 + 0.5 - np.float64(batch[j, MEAN_Y]) - np.float64(batch[j, REST_Y])
                 mask = masks[j]
                 while mask:
                     # The lowest bit's number is its float's exponent.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.backends.numba_kernels.jit import kernel
-from tsplat.core.types import F32, I32, I64
+from tsplat.core.types import F32, F64, I32, I64
 
 U32 = NDArray[np.uint32]
 U64 = NDArray[np.uint64]
@@ -71,7 +71,7 @@ def take_rows(first: int, last: int, pairs: U64, order: I32) -> None:
 
 @kernel
 def count_tiles(
-    first: int, last: int, order: I32, means2d: F32, radii: F32, width: int, height: int,
+    first: int, last: int, order: I32, means2d: F64, radii: F32, width: int, height: int,
     boxes: I32, counts: I64,
 ) -> bool:  # fmt: skip
     """Boxes of tiles [M, 4] and splats per tile of one run of the order; False for a bad row.
@@ -85,7 +85,7 @@ def count_tiles(
         k = order[i]
         if k < 0 or k >= len(order):
             return False
-        mean_x, mean_y = np.float64(means2d[k, 0]), np.float64(means2d[k, 1])
+        mean_x, mean_y = means2d[k, 0], means2d[k, 1]
         radius_x, radius_y = np.float64(radii[k, 0]), np.float64(radii[k, 1])
         x0 = max(math.ceil(max(mean_x - radius_x - 0.5, -1.0)), 0)
         y0 = max(math.ceil(max(mean_y - radius_y - 0.5, -1.0)), 0)

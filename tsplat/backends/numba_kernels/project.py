@@ -164,8 +164,9 @@ def project_chunks(
 
             root_det = math.sqrt(det)
             share = 1 / (root_y * root_det)
-            scratch[k, 0] = mean_x
-            scratch[k, 1] = mean_y
+            scratch[k, 0], scratch[k, 1] = mean_x, mean_y
+            scratch[k, 13] = mean_x - np.float64(scratch[k, 0])  # what float32 has left over
+            scratch[k, 14] = mean_y - np.float64(scratch[k, 1])
             scratch[k, 2] = var_y * share
             scratch[k, 3] = -xy * share
             scratch[k, 4] = root_det * share
@@ -193,14 +194,15 @@ def project_chunks(
 @kernel
 def gather_chunks(
     first: int, last: int, scratch: F32, scratch_ids: I32, counts: I32, starts: I64,
-    means2d: F32, factors: F32, depths: F32, opacities: F32, colors: F32, radii: F32,
+    means2d: F64, factors: F32, depths: F32, opacities: F32, colors: F32, radii: F32,
     gaussian_ids: I32,
 ) -> None:  # fmt: skip
     """Copies the splats of chunks ``first`` to ``last`` to their rows; starts [chunks]."""
     for chunk in range(first, last):
         for j in range(counts[chunk]):
             i, k = chunk * CHUNK + j, starts[chunk] + j
-            means2d[k, 0], means2d[k, 1] = scratch[i, 0], scratch[i, 1]
+            means2d[k, 0] = np.float64(scratch[i, 0]) + np.float64(scratch[i, 13])
+            means2d[k, 1] = np.float64(scratch[i, 1]) + np.float64(scratch[i, 14])
             factors[k, 0], factors[k, 1], factors[k, 2] = (
                 scratch[i, 2],
                 scratch[i, 3],

@@ -23,7 +23,7 @@ TILE_SIZE_MAX = 64
 """px; wider tiles would only repeat the test of every splat for more patches."""
 
 _SPLAT_ARRAYS: tuple[tuple[str, tuple[int, ...], type], ...] = (
-    ("means2d", (2,), np.float32),
+    ("means2d", (2,), np.float64),
     ("factors", (3,), np.float32),
     ("depths", (), np.float32),
     ("opacities", (), np.float32),
