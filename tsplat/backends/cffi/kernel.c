@@ -1,5 +1,7 @@
-/* The four stages in portable C11. Geometry is double, colour sums and pixels are float.
- * -ffp-contract=off matters: depth must be rounded as in every other backend, without FMA. */
+/* The four stages. Sorting and binning are plain C11; projecting and compositing are templates,
+ * instantiated for each instruction set by the headers vec_*.h, one of which is chosen at run time.
+ * Geometry is double, colour sums and pixels are float. -ffp-contract=off matters: depth must be
+ * rounded as in every other backend, without FMA. */
 #include "kernel.h"
 
 #include <math.h>
@@ -28,7 +30,6 @@ int tsplat_has_openmp(void) {
 static inline int64_t min64(int64_t a, int64_t b) { return a < b ? a : b; }
 static inline double min_(double a, double b) { return a < b ? a : b; }
 static inline double max_(double a, double b) { return a > b ? a : b; }
-static inline double clamp(double v, double low, double high) { return max_(low, min_(v, high)); }
 
 /* --- instruction sets ----------------------------------------------------------------------- */
 
@@ -52,9 +53,9 @@ typedef struct {
 } picture;
 
 enum { BATCH = 32 };                   /* splats between two looks for blocks that are closed */
-#define SPAN_PAD 0.01f                 /* px, and this share of its length: what a row's span is padded by */
-#define SPAN_SLACK 4e-4f              /* the rough square root is good to 3e-4 */
-#define ROUNDING 12582912.0f           /* 1.5 * 2^23: adding it rounds to an integer, in the low bits */
+#define SPAN_PAD 0.01f                 /* px that a row's span is padded by, besides this share of */
+#define SPAN_SLACK 4e-4f               /* its length: the rough square root is good to 3e-4 */
+#define ROUNDING 12582912.0f           /* 1.5 * 2^23: adding it leaves an integer in the low bits */
 #define REACH_SLACK 1e-4f              /* w and v are rounded a hundred times finer */
 _Alignas(64) static const float ROWS[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 
@@ -128,7 +129,9 @@ int tsplat_isas(void) {
     int found = TSPLAT_GENERIC;
 #if defined(__x86_64__) && defined(__GNUC__)
     __builtin_cpu_init();
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) found |= TSPLAT_AVX2;
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
+        __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt"))
+        found |= TSPLAT_AVX2; /* with lzcnt, which every such CPU has */
     if (found & TSPLAT_AVX2 && __builtin_cpu_supports("avx512f") &&
         __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
         __builtin_cpu_supports("avx512vl"))
