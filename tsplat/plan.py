@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,7 +60,11 @@ class Plan:
     fused: Fused | None = None  # the whole frame at once, if one backend offers that
     left_out: tuple[LeftOut, ...] = ()
     passed_over: tuple[str, ...] = ()  # backends "auto" did not take, with the reason
-    backends: Mapping[str, str] = field(default_factory=dict)  # stage -> backend name
+
+    @property
+    def backends(self) -> dict[str, str]:
+        """Stage -> backend name."""
+        return {stage: choice.backend for stage, choice in self.choices.items()}
 
     def run(self, scene: Scene, camera: Camera, workspace: Workspace | None = None) -> Rendered:
         """One frame, with the time each stage took.
@@ -227,5 +231,4 @@ def make_plan(
         fused=fused,
         left_out=tuple(left_out),
         passed_over=tuple(f"{n}: {r}" for n, r in passed_over.items()),
-        backends=names,
     )

@@ -38,7 +38,6 @@ BUILT_IN = (
 ENVIRONMENT = "TSPLAT_PLUGINS"
 OWN = "tsplat"
 
-Row = Backend | Presenter | Reader
 KINDS: dict[str, tuple[type, str]] = {
     "backend": (Backend, "tsplat_backends"),
     "presenter": (Presenter, "tsplat_presenters"),

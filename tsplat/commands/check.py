@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import Any
 
-from tsplat.commands.common import camera_from_file, framing, load, params, print_json, say
+from tsplat.commands.common import camera_from_file, load, params, print_json, say
 from tsplat.core.camera import Camera
 from tsplat.core.errors import PluginError
 from tsplat.core.stages import Backend, Stages
@@ -14,6 +14,7 @@ from tsplat.io.progress import progress_bar
 from tsplat.plan import default_threads, why_not
 from tsplat.plugins import load_backend, plugins
 from tsplat.testing.checks import Case, Verdict, check_stages
+from tsplat.views import frame_scene
 
 SIZE = 320, 200
 SIDE_MAX = 640
@@ -29,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
         rows = [registry.find("backend", arguments.backend)]
     scene = load(arguments)
     if arguments.camera is None:
-        camera = framing(scene, arguments.size or SIZE)
+        camera = frame_scene(scene, *(arguments.size or SIZE))
     else:
         camera = _handy(camera_from_file(arguments.camera, arguments.size), arguments.size)
     case = Case(scene, camera, params(arguments), arguments.threads or default_threads())

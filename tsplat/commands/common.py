@@ -61,13 +61,6 @@ def camera_from_file(spec: str, size: tuple[int, int] | None) -> Camera:
     return sized(load_camera(spec), size)
 
 
-def framing(scene: Scene, size: tuple[int, int], fov: float | None = None) -> Camera:
-    """The default view of ``scene``; the demo scene has its own."""
-    from tsplat.views import FOV, frame_scene
-
-    return frame_scene(scene, *size, fov=FOV if fov is None else fov)
-
-
 def pose(arguments: argparse.Namespace, scene: Scene) -> Camera:
     """The camera that the options of ``render`` describe."""
     from dataclasses import replace
@@ -117,7 +110,7 @@ def _finite(value: Any) -> Any:
 
 
 def dropped_text(scene: Scene) -> str:
-    """``3 of 1000 left out: 2 non-finite mean, 1 ...``, or nothing."""
+    """``left out 2 (non-finite mean), 1 (...)``, or nothing."""
     if not scene.dropped:
         return ""
     return "left out " + ", ".join(f"{n:,} ({reason})" for reason, n in scene.dropped.items())

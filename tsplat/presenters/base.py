@@ -64,6 +64,15 @@ class Presenter:
     rank: int = -1  # "auto" takes the highest that is supported
 
 
+def no_pictures(terminal: Terminal) -> str | None:
+    """Why no graphics protocol gets through to ``terminal``; None if one may."""
+    if not terminal.tty:
+        return "the output is not a terminal"
+    if terminal.multiplexer:
+        return f"{terminal.multiplexer} does not let pictures through by itself"
+    return None
+
+
 def changed(image: U8, previous: Frame | None) -> bool:
     """Whether ``image`` [H, W, 3], 8 bits, differs from ``previous`` as shown.
 

@@ -11,7 +11,7 @@ from binascii import b2a_base64
 
 from tsplat.core.types import Frame
 from tsplat.hookspecs import hookimpl
-from tsplat.presenters.base import Presenter, Terminal, changed
+from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures
 
 OSC = b"\x1b]"  # Operating System Command
 BEL = b"\x07"  # ends it; older terminals know no ST here
@@ -47,10 +47,8 @@ def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
 
 def unsupported(terminal: Terminal) -> str | None:
     """None, or why not."""
-    if not terminal.tty:
-        return "the output is not a terminal"
-    if terminal.multiplexer:
-        return f"{terminal.multiplexer} does not let pictures through by itself"
+    if reason := no_pictures(terminal):
+        return reason
     return None if terminal.iterm2 else "the terminal is not known to take OSC 1337 pictures"
 
 

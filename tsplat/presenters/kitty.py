@@ -12,7 +12,7 @@ from binascii import b2a_base64
 
 from tsplat.core.types import Frame
 from tsplat.hookspecs import hookimpl
-from tsplat.presenters.base import Presenter, Terminal, changed
+from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures
 
 APC = b"\x1b_G"  # Application Program Command; G for graphics
 ST = b"\x1b\\"  # String Terminator
@@ -53,10 +53,8 @@ def clear(terminal: Terminal) -> bytes:
 
 def unsupported(terminal: Terminal) -> str | None:
     """None, or why not."""
-    if not terminal.tty:
-        return "the output is not a terminal"
-    if terminal.multiplexer:
-        return f"{terminal.multiplexer} does not let pictures through by itself"
+    if reason := no_pictures(terminal):
+        return reason
     return None if terminal.kitty else "the terminal does not answer kitty's graphics query"
 
 

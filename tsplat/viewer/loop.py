@@ -39,9 +39,7 @@ class Viewer:
         self._choose()
 
     def _choose(self) -> None:
-        self._presenter, self.reason = choose_presenter(
-            self._presenters, self._screen.terminal, self._wanted
-        )
+        self._presenter, _ = choose_presenter(self._presenters, self._screen.terminal, self._wanted)
         self._screen.cleanup = self._presenter.clear(self._screen.terminal)
 
     def run(self) -> None:

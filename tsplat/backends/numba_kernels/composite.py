@@ -21,7 +21,6 @@ BLOCK_W, BLOCK_H = 4, 2  # px
 LANES = BLOCK_W * BLOCK_H
 ACROSS, DOWN = SIDE // BLOCK_W, SIDE // BLOCK_H  # blocks of a patch
 BLOCKS = ACROSS * DOWN
-PIXELS = SIDE * SIDE
 BATCH = 32  # splats between two looks for blocks that are closed
 
 # Fields of a record.
