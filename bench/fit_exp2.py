@@ -1,6 +1,6 @@
-"""Fits constants.EXP2_POLY: 2^f on [-1/2, 1/2] by a polynomial, minimax in relative error.
+"""Fits constants.EXP2_POLY and EXP2_FLOOR: 2^f by a polynomial, minimax in relative error.
 
-    python bench/fit_exp2.py [DEGREE]
+    python bench/fit_exp2.py [DEGREE [LOW]]    # on [LOW, LOW + 1]; LOW is -1/2 unless given
 
 Remez's exchange: solve for equal, alternating errors at DEGREE + 2 points, move the points to
 the extremes of the error found, repeat.
@@ -12,11 +12,11 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 
-def fit(degree: int) -> np.ndarray:
+def fit(degree: int, low: float) -> np.ndarray:
     """Coefficients, constant term first."""
     points = degree + 2
-    x = -0.5 * np.cos(np.pi * np.arange(points) / (points - 1))
-    grid = np.linspace(-0.5, 0.5, 200_001)
+    x = low + 0.5 - 0.5 * np.cos(np.pi * np.arange(points) / (points - 1))
+    grid = np.linspace(low, low + 1, 200_001)
     signs = (-1.0) ** np.arange(points)
     for _ in range(30):
         powers = np.vander(x, degree + 1, increasing=True) / np.exp2(x)[:, None]
@@ -30,8 +30,10 @@ def fit(degree: int) -> np.ndarray:
 
 
 def main() -> None:
-    coefficients = fit(int(sys.argv[1]) if sys.argv[1:] else 6)
-    grid = np.linspace(-0.5, 0.5, 200_001, dtype=np.float32)
+    degree = int(sys.argv[1]) if sys.argv[1:] else 6
+    low = float(sys.argv[2]) if sys.argv[2:] else -0.5
+    coefficients = fit(degree, low)
+    grid = np.linspace(low, low + 1, 200_001, dtype=np.float32)
     value = np.full_like(grid, coefficients[-1])
     for c in coefficients[-2::-1].astype(np.float32):
         value = value * grid + c

@@ -11,7 +11,8 @@ from tsplat.backends.cffi._kernel import lib
 
 import tsplat.backends.cffi as package
 from tests.conftest import ROOT, gaussians, straight
-from tsplat.backends.cffi import build, wrap
+from tsplat.backends.cffi import build
+from tsplat.backends.cffi import stages as kernel
 from tsplat.core import reference
 from tsplat.core.errors import KernelError, SceneError
 from tsplat.core.params import RenderParams
@@ -66,7 +67,7 @@ def test_splats_of_the_wrong_type_are_refused(stages):
     splats, bins, workspace = stages
     wrong = replace(splats, means2d=splats.means2d.astype(np.float32))
     with pytest.raises(SceneError, match=r"Splats.means2d: expected .*float64 \[2, 2\]"):
-        wrap.composite(wrong, bins, PARAMS, workspace)
+        kernel.composite(wrong, bins, PARAMS, workspace)
 
 
 @pytest.mark.parametrize("bad", [-1, 2, 2**31 - 1])
@@ -76,9 +77,9 @@ def test_ids_outside_their_array_are_refused(stages, bad):
     ids = bins.splat_ids.copy()
     ids[-1] = bad
     with pytest.raises(KernelError, match="index"):
-        wrap.composite(splats, Bins(bins.tile_offsets, ids, bins.tile_size), PARAMS, workspace)
+        kernel.composite(splats, Bins(bins.tile_offsets, ids, bins.tile_size), PARAMS, workspace)
     with pytest.raises(KernelError, match="index"):
-        wrap.bin(splats, np.array([0, bad], np.int32), workspace)
+        kernel.bin(splats, np.array([0, bad], np.int32), workspace)
 
 
 @pytest.mark.parametrize("size", [1, 5, 16, 17, 64])
@@ -87,7 +88,7 @@ def test_bins_of_any_tile_size_are_composited(stages, size):
     splats, _, workspace = stages
     bins = reference.bin(splats, reference.sort(splats), tile_size=size)
     want = reference.composite(splats, bins, PARAMS)
-    got = wrap.composite(splats, bins, PARAMS, workspace)
+    got = kernel.composite(splats, bins, PARAMS, workspace)
     np.testing.assert_allclose(got.rgb, want.rgb, atol=1e-5)
 
 
@@ -97,7 +98,7 @@ def test_falling_offsets_are_refused(stages):
     offsets = bins.tile_offsets.copy()
     offsets[0] = 1
     with pytest.raises(KernelError, match="start at 0"):
-        wrap.composite(splats, Bins(offsets, bins.splat_ids, 16), PARAMS, workspace)
+        kernel.composite(splats, Bins(offsets, bins.splat_ids, 16), PARAMS, workspace)
 
 
 def test_a_steady_view_allocates_no_buffers():
@@ -109,8 +110,8 @@ def test_a_steady_view_allocates_no_buffers():
     )
 
     def frame():
-        splats = wrap.project(scene, camera, PARAMS, workspace)
-        bins = wrap.bin(splats, wrap.sort(splats, workspace), workspace)
-        return wrap.composite(splats, bins, PARAMS, workspace).rgb.ctypes.data, workspace.nbytes
+        splats = kernel.project(scene, camera, PARAMS, workspace)
+        bins = kernel.bin(splats, kernel.sort(splats, workspace), workspace)
+        return kernel.composite(splats, bins, PARAMS, workspace).rgb.ctypes.data, workspace.nbytes
 
     assert frame() == frame()

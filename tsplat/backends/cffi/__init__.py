@@ -33,10 +33,13 @@ def load() -> Stages:
     Raises:
         PluginError: ``TSPLAT_ISA`` names one that this CPU or build does not offer.
     """
-    from tsplat.backends.cffi import isa, wrap
+    from tsplat.backends.cffi import frame, isa, stages
 
     isa.use_environment()
-    return Stages(project=wrap.project, sort=wrap.sort, bin=wrap.bin, composite=wrap.composite)
+    return Stages(
+        project=stages.project, sort=stages.sort, bin=stages.bin, composite=stages.composite,
+        fused=frame.fused,
+    )  # fmt: skip
 
 
 @hookimpl

@@ -15,7 +15,14 @@
 /* Waking threads costs some 10 us, more on a busy machine: less work than this stays on one. */
 enum { WORTH = 8192 };
 
-enum { TILE = TSPLAT_TILE, RECORD = TSPLAT_RECORD, CHUNK = TSPLAT_CHUNK, RADIX = TSPLAT_RADIX };
+enum {
+    TILE = TSPLAT_TILE,
+    RECORD = TSPLAT_RECORD,
+    CHUNK = TSPLAT_CHUNK,
+    CLUSTER = TSPLAT_CLUSTER,
+    RADIX = TSPLAT_RADIX,
+    FEW = 64 /* pairs that are sorted by comparing each with each */
+};
 
 int tsplat_has_openmp(void) {
 #ifdef _OPENMP
@@ -31,49 +38,59 @@ static inline int64_t min64(int64_t a, int64_t b) { return a < b ? a : b; }
 static inline double min_(double a, double b) { return a < b ? a : b; }
 static inline double max_(double a, double b) { return a > b ? a : b; }
 
-/* --- instruction sets ----------------------------------------------------------------------- */
+/* --- what the templates share --------------------------------------------------------------- */
 
-/* A splat as compositing reads it: one cache line. Exponents are base 2: alpha = 2^(level - w^2 -
- * v^2) with w = u11 dx + u12 dy and v = u22 dy, the factors scaled by sqrt(log2(e) / 2). */
+#if defined(__x86_64__) && defined(__GNUC__)
+#include <immintrin.h>
+#endif
+#include "tile.h"
+#include "order.h"
+
+/* The tiles of a splat: first column and row, last column and row. */
 typedef struct {
-    double mean_x, mean_y;
-    float u11, u12, u22, level;
-    float reach;          /* of w^2 + v^2, with some slack: alpha is below the threshold beyond */
-    float shear, inverse; /* on a row: where w is 0, and how wide it runs, per unit */
-    float r, g, b, z;
-    float unused;
-} record;
+    uint16_t u0, v0, u1, v1;
+} box;
 
-/* Where a tile's pixels go, and the two thresholds. */
+/* A camera and its parameters, with what follows from them alone. */
 typedef struct {
-    float *rgb, *transmittance, *depth;
-    int32_t width;
-    float floor; /* log2 of the alpha threshold */
-    float stop;
-} picture;
+    double rotation[9], centre[3], fx, fy, cx, cy, near_, far_;
+    double slope_min[2], slope_max[2]; /* x/z and y/z are clamped to these for the Jacobian */
+    double threshold;
+    int32_t width, height, sh_degree, antialias;
+} lens;
 
-enum { BATCH = 32 };                   /* splats between two looks for blocks that are closed */
-#define SPAN_PAD 0.01f                 /* px that a row's span is padded by, besides this share of */
-#define SPAN_SLACK 4e-4f               /* its length: the rough square root is good to 3e-4 */
-#define ROUNDING 12582912.0f           /* 1.5 * 2^23: adding it leaves an integer in the low bits */
-#define REACH_SLACK 1e-4f              /* w and v are rounded a hundred times finer */
-_Alignas(64) static const float ROWS[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+static lens make_lens(const tsplat_camera *c, const tsplat_params *p) {
+    double margin_x = CLAMP_MARGIN * c->width / (2 * c->fx);
+    double margin_y = CLAMP_MARGIN * c->height / (2 * c->fy);
+    lens out = {.fx = c->fx, .fy = c->fy, .cx = c->cx, .cy = c->cy, .near_ = c->near_,
+                .far_ = c->far_, .width = c->width, .height = c->height,
+                .slope_min = {-c->cx / c->fx - margin_x, -c->cy / c->fy - margin_y},
+                .slope_max = {(c->width - c->cx) / c->fx + margin_x,
+                              (c->height - c->cy) / c->fy + margin_y},
+                .threshold = max_(p->alpha_threshold, ALPHA_FLOOR),
+                .sh_degree = p->sh_degree, .antialias = p->antialias};
+    memcpy(out.rotation, c->rotation, sizeof out.rotation);
+    memcpy(out.centre, c->centre, sizeof out.centre);
+    return out;
+}
 
-/* composite_tile(out, records, splats, ids, count, x0, y0, columns, rows): the pixels of one block
- * of columns x rows, at most TILE each, with its top left at x0, y0; 1 if an id is out of range. */
-typedef int composite_function(const picture *, const record *, int64_t, const int32_t *, int64_t,
-                               int32_t, int32_t, int32_t, int32_t);
+/* Counts a box of tiles, as the corners of a sum over rows and columns: steps [rows + 1,
+ * columns + 1]. */
+static inline void count_box(int32_t *steps, int64_t across, box b) {
+    int32_t *top = steps + b.v0 * (across + 1), *below = steps + (b.v1 + 1) * (across + 1);
+    top[b.u0]++, top[b.u1 + 1]--, below[b.u0]--, below[b.u1 + 1]++;
+}
 
 /* Colour of Gaussian i: max(0, 0.5 + sum of harmonics in the direction from the camera); see
  * reference.sh_basis. */
-static inline void sh_color(const tsplat_scene *s, const tsplat_camera *cam, int degree, int64_t i,
-                            float *color) {
+static inline void sh_color(const tsplat_scene *s, const lens *lens, int64_t i, float *color) {
+    int degree = lens->sh_degree;
     const float *sh = s->sh + 3 * i * s->coefficients;
     float r = 0.5f + (float)SH_C0 * sh[0], g = 0.5f + (float)SH_C0 * sh[1],
           b = 0.5f + (float)SH_C0 * sh[2];
     if (degree > 0) {
         const float *m = s->means + 3 * i;
-        double dx = m[0] - cam->centre[0], dy = m[1] - cam->centre[1], dz = m[2] - cam->centre[2];
+        double dx = m[0] - lens->centre[0], dy = m[1] - lens->centre[1], dz = m[2] - lens->centre[2];
         double inverse = 1 / sqrt(dx * dx + dy * dy + dz * dz);
         float x = (float)(dx * inverse), y = (float)(dy * inverse), z = (float)(dz * inverse);
         float xx = x * x, yy = y * y, zz = z * z, basis[16];
@@ -108,22 +125,54 @@ static inline void sh_color(const tsplat_scene *s, const tsplat_camera *cam, int
     color[2] = b > 0 ? b : 0;
 }
 
-/* project_group(scene, camera, params, threshold, first, count, out, overflowed): projects at most
- * LANES Gaussians into records of TSPLAT_RECORD floats, the fields of tsplat_splats in order; returns
- * how many are visible and adds those that overflow. */
-typedef int project_function(const tsplat_scene *, const tsplat_camera *, const tsplat_params *, double,
-                             int64_t, int, float *, int64_t *);
+/* project_group(scene, lens, first, count, out, overflowed): projects at most LANES Gaussians into
+ * rows of TSPLAT_RECORD floats, as tsplat_gather reads them; returns how many are visible and adds
+ * those that overflow. */
+typedef int project_function(const tsplat_scene *, const lens *, int64_t, int, float *, int64_t *);
+
+/* pack_group(splats, first, count, floor, out): the records of at most LANES splats. */
+typedef void pack_function(const tsplat_splats *, int64_t, int, float, record *);
+
+/* project_chunk(packed, scene, lens, floor, first, count, space, steps, totals): projects count
+ * packed Gaussians into slots from first on and counts their boxes; returns the slots used and adds
+ * to totals[0] the visible, to totals[1] the overflowed. */
+typedef int chunk_function(const tsplat_packed *, const tsplat_scene *, const lens *, float, int64_t,
+                           int, const tsplat_space *, int32_t *, int64_t *);
+
+/* composite_tile(out, records, slots, ids, count, x0, y0, columns, rows): the pixels of one block
+ * of columns x rows, at most TILE each, with its top left at x0, y0; 1 if an id is out of range. */
+typedef int composite_function(const picture *, const record *, int64_t, const int32_t *, int64_t,
+                               int32_t, int32_t, int32_t, int32_t);
+
+/* sort_tile(pairs, scratch, count, records, ids): the slots of count pairs, near to far. */
+typedef void sort_function(uint64_t *, uint64_t *, int64_t, const record *, int32_t *);
 
 #include "vec_generic.h"
 #if defined(__x86_64__) && defined(__GNUC__)
-#include <immintrin.h>
 #include "vec_avx2.h"
 #include "vec_avx512.h"
 #endif
 
-static composite_function *composite_tile = composite_tile_generic;
-static project_function *project_group = project_group_generic;
-static int group = 4; /* Gaussians that project_group takes at a time */
+/* --- instruction sets ----------------------------------------------------------------------- */
+
+typedef struct {
+    int lanes;
+    project_function *project_group;
+    pack_function *pack_group;
+    chunk_function *project_chunk;
+    composite_function *composite_tile;
+    sort_function *sort_tile;
+} templates;
+
+static const templates GENERIC = {4, project_group_generic, pack_group_generic,
+                                  project_chunk_generic, composite_tile_generic, sort_tile_generic};
+#if defined(__x86_64__) && defined(__GNUC__)
+static const templates AVX2 = {8, project_group_avx2, pack_group_avx2, project_chunk_avx2,
+                               composite_tile_avx2, sort_tile_avx2};
+static const templates AVX512 = {16, project_group_avx512, pack_group_avx512, project_chunk_avx512,
+                                 composite_tile_avx512, sort_tile_avx512};
+#endif
+static const templates *best = &GENERIC;
 
 int tsplat_isas(void) {
     int found = TSPLAT_GENERIC;
@@ -142,12 +191,10 @@ int tsplat_isas(void) {
 
 int tsplat_use_isa(int isa) {
     if (!(isa & tsplat_isas())) return TSPLAT_BAD_ISA;
-    composite_tile = composite_tile_generic, project_group = project_group_generic, group = 4;
+    best = &GENERIC;
 #if defined(__x86_64__) && defined(__GNUC__)
-    if (isa == TSPLAT_AVX2)
-        composite_tile = composite_tile_avx2, project_group = project_group_avx2, group = 8;
-    if (isa == TSPLAT_AVX512)
-        composite_tile = composite_tile_avx512, project_group = project_group_avx512, group = 16;
+    if (isa == TSPLAT_AVX2) best = &AVX2;
+    if (isa == TSPLAT_AVX512) best = &AVX512;
 #endif
     return 0;
 }
@@ -161,7 +208,8 @@ int tsplat_project(const tsplat_scene *scene, const tsplat_camera *camera,
     if (n < 0 || n > INT32_MAX || threads < 1) return TSPLAT_BAD_SIZE;
     if ((params->sh_degree + 1) * (params->sh_degree + 1) > scene->coefficients)
         return TSPLAT_BAD_SIZE;
-    double threshold = max_(params->alpha_threshold, ALPHA_FLOOR);
+    lens lens = make_lens(camera, params);
+    int group = best->lanes;
 #pragma omp parallel for schedule(dynamic, 1) num_threads(threads) if (n > WORTH) \
     reduction(+ : visible, overflowed)
     for (int64_t c = 0; c < chunks; c++) {
@@ -169,8 +217,8 @@ int tsplat_project(const tsplat_scene *scene, const tsplat_camera *camera,
         float *out = scratch + c * CHUNK * RECORD;
         int32_t count = 0;
         for (int64_t i = c * CHUNK; i < end; i += group)
-            count += project_group(scene, camera, params, threshold, i, (int)min64(group, end - i),
-                                   out + (int64_t)count * RECORD, &overflowed);
+            count += best->project_group(scene, &lens, i, (int)min64(group, end - i),
+                                         out + (int64_t)count * RECORD, &overflowed);
         chunk_counts[c] = count;
         visible += count;
     }
@@ -197,10 +245,10 @@ int tsplat_gather(const float *scratch, const int32_t *chunk_counts, int64_t gau
             for (int32_t i = 0; i < chunk_counts[c]; i++, k++, in += RECORD) {
                 memcpy(splats->means2d + 2 * k, in, 2 * sizeof(double));
                 memcpy(splats->factors + 3 * k, in + 4, 3 * sizeof *in);
-                splats->depths[k] = in[7];
-                splats->opacities[k] = in[8];
-                memcpy(splats->colors + 3 * k, in + 9, 3 * sizeof *in);
-                memcpy(splats->radii + 2 * k, in + 12, 2 * sizeof *in);
+                splats->opacities[k] = in[7];
+                memcpy(splats->radii + 2 * k, in + 8, 2 * sizeof *in);
+                splats->depths[k] = in[10];
+                memcpy(splats->colors + 3 * k, in + 11, 3 * sizeof *in);
                 memcpy(splats->gaussian_ids + k, in + 14, sizeof(int32_t));
             }
         }
@@ -331,16 +379,12 @@ int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, const int
 
 /* --- composite ------------------------------------------------------------------------------ */
 
-static void pack(const tsplat_splats *s, int64_t k, float log2_threshold, record *out) {
-    const double unit = 0.84932180028801907; /* sqrt(log2(e) / 2) */
-    const float *u = s->factors + 3 * k, *color = s->colors + 3 * k;
-    float level = log2f(s->opacities[k]), reach = level - log2_threshold;
-    *out = (record){
-        .mean_x = s->means2d[2 * k], .mean_y = s->means2d[2 * k + 1],
-        .u11 = (float)(unit * u[0]), .u12 = (float)(unit * u[1]), .u22 = (float)(unit * u[2]),
-        .level = level, .reach = reach * (1 + REACH_SLACK) + REACH_SLACK,
-        .shear = (float)(-u[1] / (double)u[0]), .inverse = (float)(1 / (unit * u[0])),
-        .r = color[0], .g = color[1], .b = color[2], .z = s->depths[k]};
+static picture make_picture(const tsplat_params *params, int32_t width, float *rgb,
+                            float *transmittance, float *depth) {
+    double threshold = max_(params->alpha_threshold, ALPHA_FLOOR);
+    int stream = width % 4 == 0 && (uintptr_t)rgb % 16 == 0 && (uintptr_t)transmittance % 16 == 0;
+    return (picture){rgb, transmittance, depth, width, stream, (float)log2(threshold),
+                     (float)params->transmittance_min};
 }
 
 int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
@@ -350,15 +394,14 @@ int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
     if (width < 1 || height < 1 || tile_size < 1 || threads < 1) return TSPLAT_BAD_SIZE;
     int64_t across = ((int64_t)width + tile_size - 1) / tile_size, m = splats->count;
     int64_t down = ((int64_t)height + tile_size - 1) / tile_size;
-    double threshold = max_(params->alpha_threshold, ALPHA_FLOOR);
-    picture out = {rgb, transmittance, depth, width, (float)log2(threshold),
-                   (float)params->transmittance_min};
+    picture out = make_picture(params, width, rgb, transmittance, depth);
     record *packed = (record *)records;
     int bad = 0;
 #pragma omp parallel num_threads(threads)
     {
 #pragma omp for schedule(static)
-        for (int64_t k = 0; k < m; k++) pack(splats, k, out.floor, packed + k);
+        for (int64_t k = 0; k < m; k += best->lanes)
+            best->pack_group(splats, k, (int)min64(best->lanes, m - k), out.floor, packed + k);
 #pragma omp for schedule(dynamic, 4) reduction(| : bad)
         for (int64_t k = 0; k < across * down; k++) {
             int32_t x0 = (int32_t)(k % across) * tile_size, y0 = (int32_t)(k / across) * tile_size;
@@ -368,10 +411,14 @@ int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
             int64_t count = tile_offsets[k + 1] - tile_offsets[k];
             for (int32_t y = y0; y < y1; y += TILE) /* one block unless the tiles are large */
                 for (int32_t x = x0; x < x1; x += TILE)
-                    bad |= composite_tile(&out, packed, m, ids, count, x, y,
+                    bad |= best->composite_tile(&out, packed, m, ids, count, x, y,
                                           (int32_t)min64(TILE, x1 - x),
                                           (int32_t)min64(TILE, y1 - y));
         }
+        STREAMED();
     }
     return bad ? TSPLAT_BAD_ID : 0;
 }
+
+#include "pack.h"
+#include "frame.h"

@@ -1,9 +1,11 @@
 /* The C kernel's interface, read by the compiler and by cffi alike (which skips # lines).
  *
  * The caller owns every buffer; the kernel allocates nothing and remembers only which instruction
- * set it uses. Shapes stand
- * beside each pointer; N Gaussians, M splats, T tiles, I intersections. All arrays are
- * C-contiguous. Functions return a status: 0, or one of the TSPLAT_ codes below.
+ * set it uses. Shapes stand beside each pointer; N Gaussians, M splats, T tiles, I intersections.
+ * All arrays are C-contiguous. Functions return a status: 0, or one of the TSPLAT_ codes below.
+ *
+ * There are two ways to a frame, of the same bits: the four stages, each of which can be checked
+ * or replaced, and tsplat_frame_*, which keep splats as compositing reads them and sort by tile.
  */
 #ifndef TSPLAT_KERNEL_H
 #define TSPLAT_KERNEL_H
@@ -14,6 +16,9 @@ enum {
     TSPLAT_RECORD = 16,         /* floats of scratch per Gaussian in project, per splat in composite */
     TSPLAT_CHUNK = 2048,        /* Gaussians per entry of chunk_counts in tsplat_project */
     TSPLAT_RADIX = 2048,        /* entries of scratch per thread in tsplat_sort */
+    TSPLAT_CLUSTER = 256,       /* packed Gaussians that are skipped together */
+    TSPLAT_BOUNDS = 8,          /* numbers that bound a cluster */
+    TSPLAT_COLUMNS = 12,        /* packed floats per Gaussian, and three more with its colour */
     TSPLAT_BAD_SIZE = 1,        /* a count, a size or a thread number out of range */
     TSPLAT_BAD_ID = 2,          /* an index points outside the array it indexes */
     TSPLAT_BAD_ISA = 3,         /* this CPU or build does not offer that instruction set */
@@ -93,9 +98,57 @@ int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int32_t 
 int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, const int32_t *boxes,
                     int64_t *cursors, int32_t *splat_ids, int threads);
 
-/* Makes the picture. records [M, TSPLAT_RECORD] is scratch, 64-byte aligned; rgb [H, W, 3], transmittance [H, W], depth [H, W] or NULL. Any tile
- * size, so that other backends' bins serve too. */
+/* Makes the picture. records [M, TSPLAT_RECORD] is scratch, 64-byte aligned; rgb [H, W, 3],
+ * transmittance [H, W], depth [H, W] or NULL. Any tile size, so that other backends' bins serve too. */
 int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
                      const int32_t *splat_ids, int32_t tile_size, const tsplat_params *params,
                      float *records, float *rgb, float *transmittance, float *depth, int threads);
+
+/* A scene in the order of a space-filling curve, in vectors; clusters have bounds. */
+typedef struct {
+    const float *columns;       /* [ceil(N / 16), width, 16], 64-byte aligned: mean, quat, scale,
+                                   opacity, row in the scene as int32; colour */
+    const double *bounds;       /* [ceil(N / TSPLAT_CLUSTER), TSPLAT_BOUNDS] */
+    int64_t count;              /* N that are packed */
+    int32_t width;              /* TSPLAT_COLUMNS, or three more where SH degree 0 makes the colour */
+} tsplat_packed;
+
+/* What a frame needs; slots are ceil(N / TSPLAT_CLUSTER) * TSPLAT_CLUSTER. */
+typedef struct {
+    float *records;             /* [slots, TSPLAT_RECORD], 64-byte aligned */
+    uint16_t *boxes;            /* [slots, 4]: first column and row of tiles, last column and row */
+    float *depths;              /* [slots] */
+    int32_t *cluster_counts;    /* [clusters] */
+    int32_t *owners;            /* [clusters]: the thread that projected it */
+    int32_t *steps;             /* [threads, rows + 1, columns + 1] of tiles */
+    int64_t *cursors;           /* [threads, T] */
+    int64_t *tile_offsets;      /* [T + 1] */
+    uint64_t *pairs;            /* [I]: depth's bits, slot */
+    uint64_t *scratch;          /* [threads, longest tile] */
+    int32_t *ids;               /* [threads, longest tile] */
+} tsplat_space;
+
+/* Cells of the curve that Gaussians lie in, of a grid from low [3] to high [3]; all bits set for one
+ * whose opacity is below the threshold. codes [N]. Returns a status; *kept counts the others. */
+int tsplat_curve(const tsplat_scene *scene, double alpha_threshold, const float *low,
+                 const float *high, uint32_t *codes, int64_t *kept, int threads);
+
+/* Fills columns and bounds of packed, whose count and width say how much, in the given order. */
+int tsplat_pack(const tsplat_scene *scene, const int32_t *order, double alpha_threshold,
+                const tsplat_packed *packed, float *columns, double *bounds, int threads);
+
+/* Projects what may be visible into records and counts intersections. totals [5]: visible,
+ * overflowed, Gaussians in skipped clusters, intersections, intersections of the fullest tile. */
+int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
+                         const tsplat_camera *camera, const tsplat_params *params, int skip,
+                         const tsplat_space *space, int64_t *totals, int threads);
+
+/* Lists the pairs of each tile; same packed, camera and threads as before. */
+int tsplat_frame_bin(const tsplat_packed *packed, const tsplat_camera *camera,
+                     const tsplat_space *space, int threads);
+
+/* Sorts and draws each tile; longest is totals[4]. */
+int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *camera,
+                           const tsplat_params *params, const tsplat_space *space, int64_t longest,
+                           float *rgb, float *transmittance, float *depth, int threads);
 #endif

@@ -10,28 +10,29 @@ typedef struct {
     VD z, mean_x, mean_y, xx, yy, xy, det_sharp;
 } NAME(half);
 
+/* LANES splats. */
+typedef struct {
+    VD mean_x[2], mean_y[2];
+    VF u11, u12, u22, z, opacity, radius_x, radius_y;
+} NAME(splats);
+
 /* in: means, quats, scales as columns of LANES floats; half 0 or 1. */
-TARGET static inline NAME(half) NAME(geometry)(const tsplat_camera *cam, const VD in[10]) {
-    const double *R = cam->rotation;
+TARGET static inline NAME(half) NAME(geometry)(const lens *lens, const VD in[10]) {
+    const double *R = lens->rotation;
     NAME(half) out;
 #define R_(i) DSET1(R[i])
-    VD dx = DSUB(in[0], DSET1(cam->centre[0])), dy = DSUB(in[1], DSET1(cam->centre[1]));
-    VD dz = DSUB(in[2], DSET1(cam->centre[2]));
+    VD dx = DSUB(in[0], DSET1(lens->centre[0])), dy = DSUB(in[1], DSET1(lens->centre[1]));
+    VD dz = DSUB(in[2], DSET1(lens->centre[2]));
     /* In this order and without FMA: the depth's bits are the contract's. */
     out.z = DADD(DADD(DMUL(R_(6), dx), DMUL(R_(7), dy)), DMUL(R_(8), dz));
     VD px = DADD(DADD(DMUL(R_(0), dx), DMUL(R_(1), dy)), DMUL(R_(2), dz));
     VD py = DADD(DADD(DMUL(R_(3), dx), DMUL(R_(4), dy)), DMUL(R_(5), dz));
     VD near_by = DDIV(DSET1(1.0), out.z), slope_x = DMUL(px, near_by), slope_y = DMUL(py, near_by);
-    VD fx = DSET1(cam->fx), fy = DSET1(cam->fy);
-    out.mean_x = DFMA(fx, slope_x, DSET1(cam->cx));
-    out.mean_y = DFMA(fy, slope_y, DSET1(cam->cy));
-
-    double margin_x = CLAMP_MARGIN * cam->width / (2 * cam->fx);
-    double margin_y = CLAMP_MARGIN * cam->height / (2 * cam->fy);
-    VD u = DMIN(DMAX(slope_x, DSET1(-cam->cx / cam->fx - margin_x)),
-                DSET1((cam->width - cam->cx) / cam->fx + margin_x));
-    VD v = DMIN(DMAX(slope_y, DSET1(-cam->cy / cam->fy - margin_y)),
-                DSET1((cam->height - cam->cy) / cam->fy + margin_y));
+    VD fx = DSET1(lens->fx), fy = DSET1(lens->fy);
+    out.mean_x = DFMA(fx, slope_x, DSET1(lens->cx));
+    out.mean_y = DFMA(fy, slope_y, DSET1(lens->cy));
+    VD u = DMIN(DMAX(slope_x, DSET1(lens->slope_min[0])), DSET1(lens->slope_max[0]));
+    VD v = DMIN(DMAX(slope_y, DSET1(lens->slope_min[1])), DSET1(lens->slope_max[1]));
     VD scale_x = DMUL(fx, near_by), scale_y = DMUL(fy, near_by);
     VD j1[3], j2[3]; /* the rows of J R */
     for (int i = 0; i < 3; i++) {
@@ -77,35 +78,27 @@ TARGET static inline VF NAME(log2)(VF a) {
     return FMA(MUL(s, t), SET1(2.88539008f), e);
 }
 
-/* See project_group in kernel.c. */
-TARGET static int NAME(project_group)(const tsplat_scene *s, const tsplat_camera *cam,
-                                      const tsplat_params *p, double threshold, int64_t first,
-                                      int count, float *out, int64_t *overflowed) {
+/* Projects the Gaussians that lanes has bits for; returns the bits of those that are visible. in:
+ * means, quats, scales and opacities, columns 16 floats apart. */
+TARGET static inline unsigned NAME(project)(const lens *lens, const float *in, unsigned lanes,
+                                            NAME(splats) *out, int64_t *overflowed) {
     enum { HALF = LANES / 2 };
-    _Alignas(64) float column[11][LANES];
-    for (int l = 0; l < LANES; l++) {
-        int64_t i = first + (l < count ? l : 0); /* lanes to spare repeat the first */
-        for (int k = 0; k < 3; k++) column[k][l] = s->means[3 * i + k];
-        for (int k = 0; k < 4; k++) column[3 + k][l] = s->quats[4 * i + k];
-        for (int k = 0; k < 3; k++) column[7 + k][l] = s->scales[3 * i + k];
-        column[10][l] = s->opacities[i];
-    }
-    VF opacity = LOAD(column[10]);
+    VF opacity = LOAD(in + 16 * 10);
     NAME(half) g[2];
     unsigned seen = 0, fits = 0;
     for (int h = 0; h < 2; h++) {
-        VD in[10];
-        for (int k = 0; k < 10; k++) in[k] = h ? HIGH(LOAD(column[k])) : LOW(LOAD(column[k]));
-        g[h] = NAME(geometry)(cam, in);
+        VD column[10];
+        for (int k = 0; k < 10; k++) column[k] = h ? HIGH(LOAD(in + 16 * k)) : LOW(LOAD(in + 16 * k));
+        g[h] = NAME(geometry)(lens, column);
         VD o = h ? HIGH(opacity) : LOW(opacity), far_out = DSET1(OFFSCREEN_MAX);
-        unsigned ahead = DLT_BITS(DSET1(cam->near_), g[h].z) & DLT_BITS(g[h].z, DSET1(cam->far_)) &
-                         DLE_BITS(DSET1(threshold), o);
+        unsigned ahead = DLT_BITS(DSET1(lens->near_), g[h].z) & DLT_BITS(g[h].z, DSET1(lens->far_)) &
+                         DLE_BITS(DSET1(lens->threshold), o);
         unsigned holds = DLE_BITS(DADD(g[h].xx, g[h].yy), DSET1(VARIANCE_MAX)) &
                          DLE_BITS(DABS(g[h].mean_x), far_out) & DLE_BITS(DABS(g[h].mean_y), far_out);
         seen |= ahead << (HALF * h);
         fits |= holds << (HALF * h);
     }
-    seen &= (1u << count) - 1;
+    seen &= lanes;
     *overflowed += __builtin_popcount(seen & ~fits);
     seen &= fits;
     if (!seen) return 0;
@@ -118,9 +111,9 @@ TARGET static int NAME(project_group)(const tsplat_scene *s, const tsplat_camera
     }
     VF width_x = SQRT(JOIN(var_x[0], var_x[1])), width_y = SQRT(JOIN(var_y[0], var_y[1]));
     VF root = SQRT(JOIN(det[0], det[1])), one = SET1(1.0f);
-    if (p->antialias)
+    if (lens->antialias)
         opacity = MUL(opacity, DIV(SQRT(JOIN(g[0].det_sharp, g[1].det_sharp)), root));
-    VF least = SET1((float)threshold);
+    VF least = SET1((float)lens->threshold);
     seen &= BITS(GE(opacity, least));
     /* alpha reaches the threshold where sigma <= ln(opacity / threshold) */
     VF ratio = MAX(DIV(opacity, least), one);
@@ -130,37 +123,148 @@ TARGET static int NAME(project_group)(const tsplat_scene *s, const tsplat_camera
     VF radius_y = FMA(MUL(reach, width_y), slack, pad);
     VF mean_x = JOIN(g[0].mean_x, g[1].mean_x), mean_y = JOIN(g[0].mean_y, g[1].mean_y);
     seen &= BITS(GE(ADD(mean_x, radius_x), centre)) & BITS(GE(ADD(mean_y, radius_y), centre)) &
-            BITS(LE(SUB(mean_x, radius_x), SET1((float)cam->width - 0.5f))) &
-            BITS(LE(SUB(mean_y, radius_y), SET1((float)cam->height - 0.5f)));
+            BITS(LE(SUB(mean_x, radius_x), SET1((float)lens->width - 0.5f))) &
+            BITS(LE(SUB(mean_y, radius_y), SET1((float)lens->height - 0.5f)));
     if (!seen) return 0;
 
     /* u11 and u12 share one factor, so that their quotient, the tilt, is rounded only at the end. */
     VF share = DIV(one, MUL(width_y, root));
     VD share_low = LOW(share), share_high = HIGH(share), zero = DSET1(0.0);
-    _Alignas(64) float field[7][LANES];
-    _Alignas(64) double mean[2][LANES];
+    for (int h = 0; h < 2; h++) out->mean_x[h] = g[h].mean_x, out->mean_y[h] = g[h].mean_y;
+    out->u11 = JOIN(DMUL(var_y[0], share_low), DMUL(var_y[1], share_high));
+    out->u12 = JOIN(DFNMA(g[0].xy, share_low, zero), DFNMA(g[1].xy, share_high, zero));
+    out->u22 = DIV(one, width_y);
+    out->z = JOIN(g[0].z, g[1].z);
+    out->opacity = opacity;
+    out->radius_x = radius_x;
+    out->radius_y = radius_y;
+    return seen;
+}
+
+/* Fills rows with records. */
+TARGET static inline void NAME(pack)(const NAME(splats) *g, const VF color[3], VF ids, float floor_,
+                                     float rows[LANES][16]) {
+    VF unit = SET1(0.84932180028801907f); /* sqrt(log2(e) / 2) */
+    VF u11 = MUL(g->u11, unit), u12 = MUL(g->u12, unit), u22 = MUL(g->u22, unit);
+    VF middle = SET1(1.5f), slack = SET1(REACH_SLACK);
+    VF level = NAME(log2)(g->opacity), reach = SUB(level, SET1(floor_));
+    VD w[2], v[2];
     for (int h = 0; h < 2; h++) {
-        DSTORE(mean[0] + HALF * h, g[h].mean_x);
-        DSTORE(mean[1] + HALF * h, g[h].mean_y);
+        VD a = h ? HIGH(u11) : LOW(u11), b = h ? HIGH(u12) : LOW(u12), c = h ? HIGH(u22) : LOW(u22);
+        w[h] = DFMA(a, g->mean_x[h], DMUL(b, g->mean_y[h]));
+        v[h] = DMUL(c, g->mean_y[h]);
     }
-    STORE(field[0], JOIN(DMUL(var_y[0], share_low), DMUL(var_y[1], share_high)));
-    STORE(field[1], JOIN(DFNMA(g[0].xy, share_low, zero), DFNMA(g[1].xy, share_high, zero)));
-    STORE(field[2], DIV(one, width_y));
-    STORE(field[3], JOIN(g[0].z, g[1].z));
-    STORE(field[4], opacity);
-    STORE(field[5], radius_x);
-    STORE(field[6], radius_y);
-    int kept = 0;
-    for (; seen; seen &= seen - 1, kept++, out += RECORD) {
+    VF columns[16] = {EVENS(w), ODDS(w), EVENS(v), ODDS(v),
+                      ADD(FMA(reach, slack, reach), slack), ids,
+                      MUL(middle, ADD(u11, ABS(u12))), MUL(middle, u22), u11, u22, u12, level,
+                      color[0], color[1], color[2], g->z};
+    NAME(transpose)(columns, rows);
+}
+
+/* See project_group in kernel.c. */
+TARGET static int NAME(project_group)(const tsplat_scene *s, const lens *lens, int64_t first,
+                                      int count, float *out, int64_t *overflowed) {
+    _Alignas(64) float in[11 * 16], rows[LANES][16];
+    for (int l = 0; l < LANES; l++) {
+        int64_t i = first + (l < count ? l : 0); /* lanes to spare repeat the first */
+        for (int k = 0; k < 3; k++) in[16 * k + l] = s->means[3 * i + k];
+        for (int k = 0; k < 4; k++) in[16 * (3 + k) + l] = s->quats[4 * i + k];
+        for (int k = 0; k < 3; k++) in[16 * (7 + k) + l] = s->scales[3 * i + k];
+        in[16 * 10 + l] = s->opacities[i];
+    }
+    NAME(splats) g;
+    unsigned seen = NAME(project)(lens, in, (1u << count) - 1, &g, overflowed);
+    if (!seen) return 0;
+    VF columns[16] = {EVENS(g.mean_x), ODDS(g.mean_x), EVENS(g.mean_y), ODDS(g.mean_y),
+                      g.u11, g.u12, g.u22, g.opacity, g.radius_x, g.radius_y};
+    for (int k = 10; k < 16; k++) columns[k] = g.z;
+    NAME(transpose)(columns, rows);
+    int kept = __builtin_popcount(seen);
+    for (; seen; seen &= seen - 1, out += RECORD) {
         int l = __builtin_ctz(seen);
-        memcpy(out, &mean[0][l], sizeof(double)); /* two floats' room each */
-        memcpy(out + 2, &mean[1][l], sizeof(double));
-        for (int k = 0; k < 5; k++) out[4 + k] = field[k][l];
-        sh_color(s, cam, p->sh_degree, first + l, out + 9);
-        out[12] = field[5][l];
-        out[13] = field[6][l];
         int32_t id = (int32_t)(first + l);
-        memcpy(out + 14, &id, sizeof id);
+        sh_color(s, lens, id, rows[l] + 11);
+        memcpy(rows[l] + 14, &id, sizeof id);
+        memcpy(out, rows[l], sizeof rows[l]);
     }
     return kept;
+}
+
+/* See pack_group in kernel.c. */
+TARGET static void NAME(pack_group)(const tsplat_splats *s, int64_t first, int count, float floor_,
+                                    record *out) {
+    _Alignas(64) double mean[2][LANES];
+    _Alignas(64) float in[8][LANES], rows[LANES][16];
+    for (int l = 0; l < LANES; l++) {
+        int64_t i = first + (l < count ? l : 0);
+        for (int k = 0; k < 2; k++) mean[k][l] = s->means2d[2 * i + k];
+        for (int k = 0; k < 3; k++) in[k][l] = s->factors[3 * i + k];
+        for (int k = 0; k < 3; k++) in[3 + k][l] = s->colors[3 * i + k];
+        in[6][l] = s->opacities[i];
+        in[7][l] = s->depths[i];
+    }
+    VF color[3] = {LOAD(in[3]), LOAD(in[4]), LOAD(in[5])};
+    NAME(splats) g = {.mean_x = {DLOAD(mean[0]), DLOAD(mean[0] + LANES / 2)},
+                      .mean_y = {DLOAD(mean[1]), DLOAD(mean[1] + LANES / 2)},
+                      .u11 = LOAD(in[0]), .u12 = LOAD(in[1]), .u22 = LOAD(in[2]),
+                      .opacity = LOAD(in[6]), .z = LOAD(in[7])};
+    NAME(pack)(&g, color, g.z, floor_, rows);
+    memcpy(out, rows, sizeof rows[0] * (size_t)count);
+}
+
+/* See project_chunk in kernel.c. */
+TARGET static int NAME(project_chunk)(const tsplat_packed *packed, const tsplat_scene *s,
+                                      const lens *lens, float floor_, int64_t first, int count,
+                                      const tsplat_space *to, int32_t *steps, int64_t *totals) {
+    _Alignas(64) float rows[LANES][16], color[3][LANES], edges[4][LANES];
+    record *records = (record *)(void *)to->records + first;
+    box *boxes = (box *)(void *)to->boxes + first;
+    VF half = SET1(0.5f), zero = SET1(0.0f), per_tile = SET1(1.0f / TILE);
+    VF right = SET1((float)(lens->width - 1)), bottom = SET1((float)(lens->height - 1));
+    int64_t across = (lens->width + TILE - 1) / TILE;
+    int used = 0;
+    for (int i = 0; i < count; i += LANES) {
+        const float *in = packed->columns + (first + i) / 16 * 16 * packed->width + i % 16;
+        NAME(splats) g;
+        unsigned lanes = count - i < LANES ? (1u << (count - i)) - 1 : (1u << LANES) - 1;
+        unsigned seen = NAME(project)(lens, in, lanes, &g, totals + 1);
+        totals[0] += __builtin_popcount(seen);
+        if (!seen) continue;
+        /* the tiles with pixels whose centres its box holds */
+        VF x = JOIN(g.mean_x[0], g.mean_x[1]), y = JOIN(g.mean_y[0], g.mean_y[1]);
+        VF x0 = MAX(CEIL(SUB(SUB(x, g.radius_x), half)), zero);
+        VF y0 = MAX(CEIL(SUB(SUB(y, g.radius_y), half)), zero);
+        VF x1 = MIN(FLOOR(SUB(ADD(x, g.radius_x), half)), right);
+        VF y1 = MIN(FLOOR(SUB(ADD(y, g.radius_y), half)), bottom);
+        seen &= BITS(LE(x0, x1)) & BITS(LE(y0, y1));
+        if (!seen) continue;
+        STORE(edges[0], MUL(x0, per_tile)), STORE(edges[1], MUL(y0, per_tile));
+        STORE(edges[2], MUL(x1, per_tile)), STORE(edges[3], MUL(y1, per_tile));
+        VF ids = LOAD(in + 16 * 11);
+        if (lens->sh_degree) {
+            for (unsigned left = seen; left; left &= left - 1) {
+                int l = __builtin_ctz(left);
+                int32_t id;
+                float rgb[3];
+                memcpy(&id, in + 16 * 11 + l, sizeof id);
+                sh_color(s, lens, id, rgb);
+                for (int c = 0; c < 3; c++) color[c][l] = rgb[c];
+            }
+        } else {
+            for (int c = 0; c < 3; c++) STORE(color[c], LOAD(in + 16 * (12 + c)));
+        }
+        VF rgb[3] = {LOAD(color[0]), LOAD(color[1]), LOAD(color[2])};
+        NAME(pack)(&g, rgb, ids, floor_, rows);
+        for (; seen; seen &= seen - 1, used++) {
+            int l = __builtin_ctz(seen);
+            float *out = (float *)(void *)(records + used);
+            for (int k = 0; k < 16; k += 4) STREAM(out + k, *(const four *)(rows[l] + k));
+            to->depths[first + used] = rows[l][15];
+            box tiles = {(uint16_t)(int)edges[0][l], (uint16_t)(int)edges[1][l],
+                         (uint16_t)(int)edges[2][l], (uint16_t)(int)edges[3][l]};
+            count_box(steps, across, tiles);
+            boxes[used] = tiles;
+        }
+    }
+    return used;
 }

@@ -15,18 +15,27 @@
 #define MIN(a, b) _mm512_min_ps(a, b)
 #define MAX(a, b) _mm512_max_ps(a, b)
 #define ABS(a) _mm512_abs_ps(a)
-#define ROUGH_SQRT(a) _mm512_mul_ps(a, _mm512_rsqrt14_ps(a))
 #define GE(a, b) _mm512_cmp_ps_mask(a, b, _CMP_GE_OQ)
-#define GT(a, b) _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ)
 #define LE(a, b) _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ)
-#define BOTH(m, n) ((__mmask16)((m) & (n)))
-#define BUT_NOT(m, n) ((__mmask16)((m) & ~(n)))
-#define KEEP(m, a) _mm512_maskz_mov_ps(m, a)
 #define PICK(m, a, b) _mm512_mask_mov_ps(b, m, a)
-#define NEGATE(m, a) _mm512_mask_or_ps(a, m, a, _mm512_set1_ps(-0.0f))
 #define BITS(m) ((unsigned)(m))
-#define SCALE(p, n) _mm512_castsi512_ps(_mm512_add_epi32( \
-    _mm512_castps_si512(p), _mm512_slli_epi32(_mm512_castps_si512(n), 23)))
+#define GT(a, b) _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ)
+#define KEEP(m, a) _mm512_maskz_mov_ps(m, a)
+#define OR(a, b) _mm512_or_ps(a, b)
+#define FLOOR(a) _mm512_roundscale_ps(a, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC)
+#define CEIL(a) _mm512_roundscale_ps(a, _MM_FROUND_TO_POS_INF | _MM_FROUND_NO_EXC)
+#define FRACTION(x) _mm512_reduce_ps(x, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC)
+#define SCALE(m, p, x) _mm512_maskz_scalef_ps(m, p, x) /* 2^floor(x) p, or 0 */
+#define EVENS(h) split_avx512((h)[0], (h)[1], 0)
+#define ODDS(h) split_avx512((h)[0], (h)[1], 1)
+
+/* As many integers. */
+#define VI __m512i
+#define ILOAD(p) _mm512_load_si512(p)
+#define ISTORE(p, v) _mm512_store_si512(p, v)
+#define ISET1(x) _mm512_set1_epi32(x)
+#define COUNT_LESS(n, a, b) /* n + 1 where a < b */ \
+    _mm512_mask_sub_epi32(n, _mm512_cmplt_epi32_mask(a, b), n, _mm512_set1_epi32(-1))
 
 /* Half as many doubles. */
 #define VD __m512d
@@ -52,6 +61,54 @@
 #define SQRT(a) _mm512_sqrt_ps(a)
 #define EXPONENT(a) _mm512_getexp_ps(a)
 #define MANTISSA(a) _mm512_getmant_ps(a, _MM_MANT_NORM_1_2, _MM_MANT_SIGN_zero)
+
+/* The low or the high words of sixteen doubles. */
+TARGET static inline __m512 split_avx512(__m512d a, __m512d b, int high) {
+    const __m512i evens = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+    __m512i which = high ? _mm512_add_epi32(evens, _mm512_set1_epi32(1)) : evens;
+    return _mm512_permutex2var_ps(_mm512_castpd_ps(a), which, _mm512_castpd_ps(b));
+}
+
+/* See vec_generic.h for these two. */
+TARGET static inline void transpose_avx512(const __m512 c[16], float rows[16][16]) {
+    __m512 a[16], b[16];
+    for (int i = 0; i < 16; i += 2) {
+        a[i] = _mm512_unpacklo_ps(c[i], c[i + 1]);
+        a[i + 1] = _mm512_unpackhi_ps(c[i], c[i + 1]);
+    }
+    for (int i = 0; i < 16; i += 4) {
+        b[i] = _mm512_shuffle_ps(a[i], a[i + 2], 0x44);
+        b[i + 1] = _mm512_shuffle_ps(a[i], a[i + 2], 0xee);
+        b[i + 2] = _mm512_shuffle_ps(a[i + 1], a[i + 3], 0x44);
+        b[i + 3] = _mm512_shuffle_ps(a[i + 1], a[i + 3], 0xee);
+    }
+    for (int i = 0; i < 4; i++) { /* b[i + 4 k] holds columns 4 k.. of rows i, i + 4, i + 8, i + 12 */
+        __m512 lo = _mm512_shuffle_f32x4(b[i], b[i + 4], 0x88), hi = _mm512_shuffle_f32x4(b[i], b[i + 4], 0xdd);
+        __m512 lo2 = _mm512_shuffle_f32x4(b[i + 8], b[i + 12], 0x88);
+        __m512 hi2 = _mm512_shuffle_f32x4(b[i + 8], b[i + 12], 0xdd);
+        STORE(rows[i], _mm512_shuffle_f32x4(lo, lo2, 0x88));
+        STORE(rows[i + 4], _mm512_shuffle_f32x4(hi, hi2, 0x88));
+        STORE(rows[i + 8], _mm512_shuffle_f32x4(lo, lo2, 0xdd));
+        STORE(rows[i + 12], _mm512_shuffle_f32x4(hi, hi2, 0xdd));
+    }
+}
+
+TARGET static inline uint32_t list_avx512(uint32_t *to, const uint16_t *hits, int count, int block) {
+    __m256i bit = _mm256_set1_epi16((short)(1 << block));
+    __m512i step = _mm512_set1_epi32(16 * (int)sizeof(placed));
+    __m512i entry = _mm512_mullo_epi32(_mm512_set1_epi32((int)sizeof(placed)), _mm512_setr_epi32(
+        0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
+    entry = _mm512_add_epi32(entry, _mm512_set1_epi32(block * (int)sizeof PIXEL_X[0] << 16));
+    uint32_t *begin = to;
+    for (int j = 0; j < count; j += 16, entry = _mm512_add_epi32(entry, step)) {
+        __mmask16 hit = _mm256_test_epi16_mask(_mm256_load_si256((const __m256i *)(const void *)(hits + j)), bit);
+        _mm512_storeu_si512(to, _mm512_maskz_compress_epi32(hit, entry));
+        to += __builtin_popcount(hit);
+    }
+    return (uint32_t)(to - begin);
+}
+
 #include "composite_template.h"
 #include "project_template.h"
+#include "order_template.h"
 #include "vec_undef.h"

@@ -1,0 +1,154 @@
+/* The whole frame: clusters are skipped or projected, straight into records; each tile sorts its
+ * own splats just before it draws them. Same picture as the four stages, to the bit. */
+
+/* Largest of n . p over the means of a cluster, p in camera space. */
+static double furthest(const lens *lens, const double *bounds, double nx, double ny, double nz) {
+    const double *R = lens->rotation;
+    double sum = 0;
+    for (int k = 0; k < 3; k++) {
+        double slope = nx * R[k] + ny * R[3 + k] + nz * R[6 + k];
+        sum += slope * ((slope > 0 ? bounds[3 + k] : bounds[k]) - lens->centre[k]);
+    }
+    return sum;
+}
+
+/* Whether no Gaussian of a cluster can reach a pixel. Its reach in x is at most
+ * reach * (fx / z * sqrt(1 + u^2) * scale + sqrt(eps2d)), with u clamped as for the Jacobian: times
+ * z > 0 this is linear in the mean, so a box of means needs one look per side of the picture. */
+static int out_of_sight(const lens *lens, const double *bounds) {
+    double edge = sqrt(EPS2D) * bounds[7] * (1 + RADIUS_SLACK) + 2 * RADIUS_PAD;
+    double focal[2] = {lens->fx, lens->fy}, middle[2] = {lens->cx, lens->cy};
+    double size[2] = {lens->width, lens->height};
+    if (furthest(lens, bounds, 0, 0, 1) <= lens->near_) return 1;
+    if (-furthest(lens, bounds, 0, 0, -1) >= lens->far_) return 1;
+    for (int k = 0; k < 2; k++) {
+        double u = max_(fabs(lens->slope_min[k]), fabs(lens->slope_max[k])), f = focal[k];
+        double reach = f * sqrt(1 + u * u) * bounds[6] * (1 + RADIUS_SLACK);
+        double nx = k ? 0 : f, ny = k ? f : 0;
+        if (furthest(lens, bounds, nx, ny, middle[k] + edge) + reach < 0) return 1;
+        if (furthest(lens, bounds, -nx, -ny, size[k] - middle[k] + edge) + reach < 0) return 1;
+    }
+    return 0;
+}
+
+int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
+                         const tsplat_camera *camera, const tsplat_params *params, int skip,
+                         const tsplat_space *space, int64_t *totals, int threads) {
+    int64_t n = packed->count, clusters = (n + CLUSTER - 1) / CLUSTER;
+    int64_t across = ((int64_t)camera->width + TILE - 1) / TILE;
+    int64_t down = ((int64_t)camera->height + TILE - 1) / TILE, tiles = across * down;
+    int64_t visible = 0, overflowed = 0, skipped = 0;
+    if (n < 0 || n > scene->count || tiles < 1 || threads < 1) return TSPLAT_BAD_SIZE;
+    if (across > UINT16_MAX || down > UINT16_MAX) return TSPLAT_BAD_SIZE;
+    if ((params->sh_degree + 1) * (params->sh_degree + 1) > scene->coefficients ||
+        packed->width != TSPLAT_COLUMNS + (params->sh_degree ? 0 : 3))
+        return TSPLAT_BAD_SIZE;
+    lens lens = make_lens(camera, params);
+    float floor_ = (float)log2(lens.threshold);
+    int64_t corners = (across + 1) * (down + 1);
+    memset(space->steps, 0, sizeof *space->steps * (size_t)(corners * threads));
+#pragma omp parallel num_threads(threads) if (n > WORTH) reduction(+ : visible, overflowed, skipped)
+    {
+        int thread = 0;
+#ifdef _OPENMP
+        thread = omp_get_thread_num();
+#endif
+#pragma omp for schedule(dynamic, 8)
+        for (int64_t c = 0; c < clusters; c++) {
+            int64_t first = c * CLUSTER, count = min64(CLUSTER, n - first), found[2] = {0, 0};
+            int used = 0;
+            if (skip && out_of_sight(&lens, packed->bounds + c * TSPLAT_BOUNDS))
+                skipped += count;
+            else
+                used = best->project_chunk(packed, scene, &lens, floor_, first, (int)count, space,
+                                           space->steps + thread * corners, found);
+            space->cluster_counts[c] = used;
+            space->owners[c] = thread;
+            visible += found[0];
+            overflowed += found[1];
+        }
+        STREAMED();
+    }
+    /* Sums over columns and rows turn steps into counts; these become the places of each tile. */
+    for (int t = 0; t < threads; t++) {
+        const int32_t *steps = space->steps + t * corners;
+        int64_t *counts = space->cursors + t * tiles;
+        for (int64_t v = 0; v < down; v++) {
+            int64_t sum = 0;
+            for (int64_t u = 0; u < across; u++) {
+                sum += steps[v * (across + 1) + u];
+                counts[v * across + u] = sum + (v ? counts[(v - 1) * across + u] : 0);
+            }
+        }
+    }
+    int64_t at = 0, longest = 0;
+    for (int64_t k = 0; k < tiles; k++) {
+        space->tile_offsets[k] = at;
+        for (int t = 0; t < threads; t++) {
+            int64_t count = space->cursors[t * tiles + k];
+            space->cursors[t * tiles + k] = at;
+            at += count;
+        }
+        longest = at - space->tile_offsets[k] > longest ? at - space->tile_offsets[k] : longest;
+    }
+    space->tile_offsets[tiles] = at;
+    totals[0] = visible, totals[1] = overflowed, totals[2] = skipped;
+    totals[3] = at, totals[4] = longest;
+    return 0;
+}
+
+int tsplat_frame_bin(const tsplat_packed *packed, const tsplat_camera *camera,
+                     const tsplat_space *space, int threads) {
+    int64_t clusters = (packed->count + CLUSTER - 1) / CLUSTER;
+    int64_t across = ((int64_t)camera->width + TILE - 1) / TILE;
+    int64_t down = ((int64_t)camera->height + TILE - 1) / TILE;
+#pragma omp parallel for schedule(static, 1) num_threads(threads) if (packed->count > WORTH)
+    for (int t = 0; t < threads; t++) {
+        int64_t *cursors = space->cursors + t * across * down;
+        for (int64_t c = 0; c < clusters; c++) {
+            if (space->owners[c] != t) continue;
+            int64_t end = c * CLUSTER + space->cluster_counts[c];
+            for (int64_t slot = c * CLUSTER; slot < end; slot++) {
+                box b = ((const box *)(const void *)space->boxes)[slot];
+                uint32_t depth;
+                memcpy(&depth, space->depths + slot, sizeof depth);
+                uint64_t pair = (uint64_t)depth << 32 | (uint32_t)slot;
+                for (int64_t v = b.v0; v <= b.v1; v++)
+                    for (int64_t u = b.u0; u <= b.u1; u++)
+                        space->pairs[cursors[v * across + u]++] = pair;
+            }
+        }
+    }
+    return 0;
+}
+
+int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *camera,
+                           const tsplat_params *params, const tsplat_space *space, int64_t longest,
+                           float *rgb, float *transmittance, float *depth, int threads) {
+    int32_t width = camera->width, height = camera->height;
+    int64_t across = ((int64_t)width + TILE - 1) / TILE, down = ((int64_t)height + TILE - 1) / TILE;
+    const record *records = (const record *)(const void *)space->records;
+    picture out = make_picture(params, width, rgb, transmittance, depth);
+    int bad = 0;
+    if (width < 1 || height < 1 || threads < 1) return TSPLAT_BAD_SIZE;
+#pragma omp parallel num_threads(threads) reduction(| : bad)
+    {
+        int thread = 0;
+#ifdef _OPENMP
+        thread = omp_get_thread_num();
+#endif
+        uint64_t *scratch = space->scratch + thread * longest;
+        int32_t *ids = space->ids + thread * longest;
+#pragma omp for schedule(dynamic, 4)
+        for (int64_t k = 0; k < across * down; k++) {
+            int32_t x0 = (int32_t)(k % across) * TILE, y0 = (int32_t)(k / across) * TILE;
+            int64_t count = space->tile_offsets[k + 1] - space->tile_offsets[k];
+            best->sort_tile(space->pairs + space->tile_offsets[k], scratch, count, records, ids);
+            bad |= best->composite_tile(&out, records, packed->count, ids, count, x0, y0,
+                                        (int32_t)min64(TILE, width - x0),
+                                        (int32_t)min64(TILE, height - y0));
+        }
+        STREAMED();
+    }
+    return bad ? TSPLAT_BAD_ID : 0;
+}

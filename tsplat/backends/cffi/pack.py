@@ -1,0 +1,100 @@
+"""A scene as the C kernel likes it: along a space-filling curve, in vectors, with bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from tsplat.backends.cffi._kernel import ffi, lib
+from tsplat.backends.cffi.call import check, pointer, scene_struct
+from tsplat.core.params import RenderParams
+from tsplat.core.types import F32, F64, Scene
+from tsplat.core.workspace import Workspace
+
+SAMPLE = 4096  # Gaussians that the curve's box is guessed from
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """What :func:`pack` made, for one scene, one alpha threshold and one kind of colour."""
+
+    columns: F32  # [G, width, 16]  G groups of sixteen; see tsplat_packed in kernel.h
+    bounds: F64  # [clusters, 8]
+    count: int  # Gaussians that can reach the threshold
+    struct: Any  # tsplat_packed *
+    scene: Any  # tsplat_scene *
+    key: tuple[float, bool]
+
+    @property
+    def slots(self) -> int:
+        """Places for splats: whole clusters."""
+        return len(self.bounds) * int(lib.TSPLAT_CLUSTER)
+
+
+_packed: WeakKeyDictionary[Scene, Packed] = WeakKeyDictionary()
+
+
+def pack(scene: Scene, params: RenderParams, degree: int, workspace: Workspace) -> Packed:
+    """``scene`` packed for ``params``; made on first use and kept as long as the scene lives.
+
+    Left out are Gaussians whose opacity is below the alpha threshold. If only SH degree 0 counts,
+    the colour is worked out here.
+    """
+    key = (params.alpha_threshold, degree == 0)
+    known = _packed.get(scene)
+    if known is None or known.key != key:
+        known = _packed[scene] = _pack(scene, key, workspace.threads)
+    return known
+
+
+def _pack(scene: Scene, key: tuple[float, bool], threads: int) -> Packed:
+    threshold, plain = key
+    n = len(scene)
+    struct = scene_struct(scene)
+    sample = scene.means[:: max(n // SAMPLE, 1)]
+    low, high = np.zeros(3, np.float32), np.zeros(3, np.float32)
+    if n:  # outliers would leave the bulk few cells of the curve
+        low, high = np.quantile(sample, [0.01, 0.99], axis=0).astype(np.float32)
+    codes = np.empty(n, np.uint32)
+    kept = np.zeros(1, np.int64)
+    check(
+        lib.tsplat_curve(
+            struct, threshold, pointer(low, "float"), pointer(high, "float"),
+            pointer(codes, "uint32_t"), pointer(kept, "int64_t"), threads,
+        ),
+        "curve",
+    )  # fmt: skip
+    order = np.empty(n, np.int32)
+    pairs = np.empty(2 * n, np.uint64)
+    histograms = np.empty((threads, lib.TSPLAT_RADIX), np.uint32)
+    check(
+        lib.tsplat_sort(
+            pointer(codes, "float"), n, pointer(order, "int32_t"),
+            pointer(pairs, "uint64_t"), pointer(histograms, "uint32_t"), threads,
+        ),
+        "curve",
+    )  # fmt: skip
+    del codes, pairs
+    count = int(kept[0])
+    width = lib.TSPLAT_COLUMNS + 3 * plain
+    store = Workspace()  # for its alignment
+    columns = store.array("columns", (-(-count // 16), width, 16), np.float32)
+    bounds = np.empty((-(-count // lib.TSPLAT_CLUSTER), lib.TSPLAT_BOUNDS))
+    packed = ffi.new(
+        "tsplat_packed *",
+        {
+            "columns": pointer(columns, "float"), "bounds": pointer(bounds, "double"),
+            "count": count, "width": width,
+        },
+    )  # fmt: skip
+    check(
+        lib.tsplat_pack(
+            struct, pointer(order, "int32_t"), threshold, packed,
+            pointer(columns, "float"), pointer(bounds, "double"), threads,
+        ),
+        "pack",
+    )  # fmt: skip
+    return Packed(columns, bounds, count, packed, struct, key)
