@@ -142,6 +142,15 @@ TARGET static int NAME(composite_tile)(const picture *out, const record *records
         open = out->depth ? NAME(draw_batch)(&s, n, open, floor_, stop, 1)
                           : NAME(draw_batch)(&s, n, open, floor_, stop, 0);
     }
+#ifdef STREAM_ROW
+    if (out->stream == 64 && !out->depth && columns == TILE) {
+        for (int y = 0; y < rows; y++) {
+            int64_t at = (int64_t)(y0 + y) * out->width + x0;
+            STREAM_ROW(&s, y, out->rgb + 3 * at, out->transmittance + at);
+        }
+        return 0;
+    }
+#endif
     finish_tile(&s, out, x0, y0, columns, rows);
     return 0;
 }

@@ -1,6 +1,8 @@
 /* The whole frame: clusters are skipped or projected, straight into records; each tile sorts its
  * own splats just before it draws them. Same picture as the four stages, to the bit. */
 
+enum { SQUARE = 4 };
+
 /* Largest of n . p over the means of a cluster, p in camera space. */
 static double furthest(const lens *lens, const double *bounds, double nx, double ny, double nz) {
     const double *R = lens->rotation;
@@ -39,7 +41,7 @@ int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
     int64_t down = ((int64_t)camera->height + TILE - 1) / TILE, tiles = across * down;
     int64_t visible = 0, overflowed = 0, skipped = 0;
     if (n < 0 || n > scene->count || tiles < 1 || threads < 1) return TSPLAT_BAD_SIZE;
-    if (across > UINT16_MAX || down > UINT16_MAX) return TSPLAT_BAD_SIZE;
+    if (across > INT16_MAX || down > INT16_MAX) return TSPLAT_BAD_SIZE;
     if ((params->sh_degree + 1) * (params->sh_degree + 1) > scene->coefficients ||
         packed->width != TSPLAT_COLUMNS + (params->sh_degree ? 0 : 3))
         return TSPLAT_BAD_SIZE;
@@ -113,8 +115,9 @@ int tsplat_frame_bin(const tsplat_packed *packed, const tsplat_camera *camera,
                 uint32_t depth;
                 memcpy(&depth, space->depths + slot, sizeof depth);
                 uint64_t pair = (uint64_t)depth << 32 | (uint32_t)slot;
-                for (int64_t v = b.v0; v <= b.v1; v++)
-                    for (int64_t u = b.u0; u <= b.u1; u++)
+                int64_t u0 = b.first % 65536, u1 = b.last % 65536;
+                for (int64_t v = b.first / 65536; v <= b.last / 65536; v++)
+                    for (int64_t u = u0; u <= u1; u++)
                         space->pairs[cursors[v * across + u]++] = pair;
             }
         }
@@ -139,14 +142,22 @@ int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *cam
 #endif
         uint64_t *scratch = space->scratch + thread * longest;
         int32_t *ids = space->ids + thread * longest;
-#pragma omp for schedule(dynamic, 4)
-        for (int64_t k = 0; k < across * down; k++) {
-            int32_t x0 = (int32_t)(k % across) * TILE, y0 = (int32_t)(k / across) * TILE;
-            int64_t count = space->tile_offsets[k + 1] - space->tile_offsets[k];
-            best->sort_tile(space->pairs + space->tile_offsets[k], scratch, count, records, ids);
-            bad |= best->composite_tile(&out, records, packed->count, ids, count, x0, y0,
-                                        (int32_t)min64(TILE, width - x0),
-                                        (int32_t)min64(TILE, height - y0));
+        /* A square of tiles at a time: neighbours share splats, which the cache still holds. */
+        int64_t squares = (across + SQUARE - 1) / SQUARE;
+#pragma omp for schedule(dynamic, 1)
+        for (int64_t k = 0; k < squares * ((down + SQUARE - 1) / SQUARE); k++) {
+            int64_t u0 = k % squares * SQUARE, v0 = k / squares * SQUARE;
+            for (int64_t v = v0; v < min64(v0 + SQUARE, down); v++) {
+                for (int64_t u = u0; u < min64(u0 + SQUARE, across); u++) {
+                    int64_t begin = space->tile_offsets[v * across + u];
+                    int64_t count = space->tile_offsets[v * across + u + 1] - begin;
+                    int32_t x0 = (int32_t)u * TILE, y0 = (int32_t)v * TILE;
+                    best->sort_tile(space->pairs + begin, scratch, count, records, ids);
+                    bad |= best->composite_tile(&out, records, packed->count, ids, count, x0, y0,
+                                                (int32_t)min64(TILE, width - x0),
+                                                (int32_t)min64(TILE, height - y0));
+                }
+            }
         }
         STREAMED();
     }

@@ -16,7 +16,7 @@ from tsplat.core.types import Frame, Scene
 from tsplat.core.workspace import Workspace
 
 _FIELDS = (
-    ("records", np.float32, "float"), ("boxes", np.uint16, "uint16_t"),
+    ("records", np.float32, "float"), ("boxes", np.int32, "int32_t"),
     ("depths", np.float32, "float"), ("cluster_counts", np.int32, "int32_t"),
     ("owners", np.int32, "int32_t"), ("steps", np.int32, "int32_t"),
     ("cursors", np.int64, "int64_t"), ("tile_offsets", np.int64, "int64_t"),
@@ -35,7 +35,7 @@ def fused(
     across, down = -(-width // lib.TSPLAT_TILE), -(-height // lib.TSPLAT_TILE)
     slots, clusters, tiles = packed.slots, len(packed.bounds), across * down
     shapes = (
-        (slots, lib.TSPLAT_RECORD), (slots, 4), (slots,), (clusters,), (clusters,),
+        (slots, lib.TSPLAT_RECORD), (slots, 2), (slots,), (clusters,), (clusters,),
         (threads, down + 1, across + 1), (threads, tiles), (tiles + 1,),
     )  # fmt: skip
     space = ffi.new("tsplat_space *")

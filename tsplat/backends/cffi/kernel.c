@@ -5,7 +5,9 @@
 #include "kernel.h"
 
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
+
 #ifdef _OPENMP
 #include <omp.h>
 #endif
@@ -46,9 +48,9 @@ static inline double max_(double a, double b) { return a > b ? a : b; }
 #include "tile.h"
 #include "order.h"
 
-/* The tiles of a splat: first column and row, last column and row. */
+/* The tiles of a splat: its first and its last, as column + row * 65536. */
 typedef struct {
-    uint16_t u0, v0, u1, v1;
+    int32_t first, last;
 } box;
 
 /* A camera and its parameters, with what follows from them alone. */
@@ -72,13 +74,6 @@ static lens make_lens(const tsplat_camera *c, const tsplat_params *p) {
     memcpy(out.rotation, c->rotation, sizeof out.rotation);
     memcpy(out.centre, c->centre, sizeof out.centre);
     return out;
-}
-
-/* Counts a box of tiles, as the corners of a sum over rows and columns: steps [rows + 1,
- * columns + 1]. */
-static inline void count_box(int32_t *steps, int64_t across, box b) {
-    int32_t *top = steps + b.v0 * (across + 1), *below = steps + (b.v1 + 1) * (across + 1);
-    top[b.u0]++, top[b.u1 + 1]--, below[b.u0]--, below[b.u1 + 1]++;
 }
 
 /* Colour of Gaussian i: max(0, 0.5 + sum of harmonics in the direction from the camera); see
@@ -382,7 +377,8 @@ int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, const int
 static picture make_picture(const tsplat_params *params, int32_t width, float *rgb,
                             float *transmittance, float *depth) {
     double threshold = max_(params->alpha_threshold, ALPHA_FLOOR);
-    int stream = width % 4 == 0 && (uintptr_t)rgb % 16 == 0 && (uintptr_t)transmittance % 16 == 0;
+    uintptr_t rows = (uintptr_t)rgb | (uintptr_t)transmittance | (uintptr_t)width * 4;
+    int stream = rows % 64 == 0 ? 64 : rows % 16 == 0 ? 16 : 0;
     return (picture){rgb, transmittance, depth, width, stream, (float)log2(threshold),
                      (float)params->transmittance_min};
 }

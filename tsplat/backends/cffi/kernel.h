@@ -116,7 +116,7 @@ typedef struct {
 /* What a frame needs; slots are ceil(N / TSPLAT_CLUSTER) * TSPLAT_CLUSTER. */
 typedef struct {
     float *records;             /* [slots, TSPLAT_RECORD], 64-byte aligned */
-    uint16_t *boxes;            /* [slots, 4]: first column and row of tiles, last column and row */
+    int32_t *boxes;             /* [slots, 2]: first and last tile, as column + row * 65536 */
     float *depths;              /* [slots] */
     int32_t *cluster_counts;    /* [clusters] */
     int32_t *owners;            /* [clusters]: the thread that projected it */

@@ -216,15 +216,17 @@ TARGET static void NAME(pack_group)(const tsplat_splats *s, int64_t first, int c
 TARGET static int NAME(project_chunk)(const tsplat_packed *packed, const tsplat_scene *s,
                                       const lens *lens, float floor_, int64_t first, int count,
                                       const tsplat_space *to, int32_t *steps, int64_t *totals) {
-    _Alignas(64) float rows[LANES][16], color[3][LANES], edges[4][LANES];
+    _Alignas(64) float rows[LANES][16], color[3][LANES];
+    _Alignas(64) int32_t first_tile[LANES], last_tile[LANES], corner[4][LANES];
     record *records = (record *)(void *)to->records + first;
     box *boxes = (box *)(void *)to->boxes + first;
     VF half = SET1(0.5f), zero = SET1(0.0f), per_tile = SET1(1.0f / TILE);
     VF right = SET1((float)(lens->width - 1)), bottom = SET1((float)(lens->height - 1));
-    int64_t across = (lens->width + TILE - 1) / TILE;
+    VI stride = ISET1((lens->width + TILE - 1) / TILE + 1);
     int used = 0;
     for (int i = 0; i < count; i += LANES) {
         const float *in = packed->columns + (first + i) / 16 * 16 * packed->width + i % 16;
+        for (int k = 0; k < packed->width; k++) PREFETCH(in + 16 * (packed->width + k)); /* the next */
         NAME(splats) g;
         unsigned lanes = count - i < LANES ? (1u << (count - i)) - 1 : (1u << LANES) - 1;
         unsigned seen = NAME(project)(lens, in, lanes, &g, totals + 1);
@@ -238,8 +240,15 @@ TARGET static int NAME(project_chunk)(const tsplat_packed *packed, const tsplat_
         VF y1 = MIN(FLOOR(SUB(ADD(y, g.radius_y), half)), bottom);
         seen &= BITS(LE(x0, x1)) & BITS(LE(y0, y1));
         if (!seen) continue;
-        STORE(edges[0], MUL(x0, per_tile)), STORE(edges[1], MUL(y0, per_tile));
-        STORE(edges[2], MUL(x1, per_tile)), STORE(edges[3], MUL(y1, per_tile));
+        VI u0 = TRUNCATE(MUL(x0, per_tile)), v0 = TRUNCATE(MUL(y0, per_tile));
+        VI u1 = TRUNCATE(MUL(x1, per_tile)), v1 = TRUNCATE(MUL(y1, per_tile)), next = ISET1(1);
+        ISTORE(first_tile, IADD(u0, IMUL(v0, ISET1(65536))));
+        ISTORE(last_tile, IADD(u1, IMUL(v1, ISET1(65536))));
+        /* where sums over rows and columns begin and end to count the box */
+        VI top = IMUL(v0, stride), below = IMUL(IADD(v1, next), stride);
+        u1 = IADD(u1, next);
+        ISTORE(corner[0], IADD(top, u0)), ISTORE(corner[1], IADD(top, u1));
+        ISTORE(corner[2], IADD(below, u0)), ISTORE(corner[3], IADD(below, u1));
         VF ids = LOAD(in + 16 * 11);
         if (lens->sh_degree) {
             for (unsigned left = seen; left; left &= left - 1) {
@@ -260,10 +269,9 @@ TARGET static int NAME(project_chunk)(const tsplat_packed *packed, const tsplat_
             float *out = (float *)(void *)(records + used);
             for (int k = 0; k < 16; k += 4) STREAM(out + k, *(const four *)(rows[l] + k));
             to->depths[first + used] = rows[l][15];
-            box tiles = {(uint16_t)(int)edges[0][l], (uint16_t)(int)edges[1][l],
-                         (uint16_t)(int)edges[2][l], (uint16_t)(int)edges[3][l]};
-            count_box(steps, across, tiles);
-            boxes[used] = tiles;
+            boxes[used] = (box){first_tile[l], last_tile[l]};
+            steps[corner[0][l]]++, steps[corner[1][l]]--;
+            steps[corner[2][l]]--, steps[corner[3][l]]++;
         }
     }
     return used;

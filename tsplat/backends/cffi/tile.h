@@ -19,7 +19,7 @@ typedef struct {
 typedef struct {
     float *rgb, *transmittance, *depth;
     int32_t width;
-    int stream;  /* whether every four pixels start at a multiple of 16 bytes */
+    int stream;  /* rows start at a multiple of this many bytes, if it is 16 or 64 */
     float floor; /* log2 of the alpha threshold */
     float stop;  /* the transmittance where a pixel stops */
 } picture;

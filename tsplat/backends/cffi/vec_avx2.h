@@ -35,6 +35,9 @@
 #define ILOAD(p) _mm256_load_si256((const __m256i *)(const void *)(p))
 #define ISTORE(p, v) _mm256_store_si256((__m256i *)(void *)(p), v)
 #define ISET1(x) _mm256_set1_epi32(x)
+#define IADD(a, b) _mm256_add_epi32(a, b)
+#define IMUL(a, b) _mm256_mullo_epi32(a, b)
+#define TRUNCATE(a) _mm256_cvttps_epi32(a)
 #define COUNT_LESS(n, a, b) _mm256_sub_epi32(n, _mm256_cmpgt_epi32(b, a)) /* n + 1 where a < b */
 
 /* Half as many doubles. */

@@ -34,6 +34,9 @@
 #define ILOAD(p) _mm512_load_si512(p)
 #define ISTORE(p, v) _mm512_store_si512(p, v)
 #define ISET1(x) _mm512_set1_epi32(x)
+#define IADD(a, b) _mm512_add_epi32(a, b)
+#define IMUL(a, b) _mm512_mullo_epi32(a, b)
+#define TRUNCATE(a) _mm512_cvttps_epi32(a)
 #define COUNT_LESS(n, a, b) /* n + 1 where a < b */ \
     _mm512_mask_sub_epi32(n, _mm512_cmplt_epi32_mask(a, b), n, _mm512_set1_epi32(-1))
 
@@ -107,6 +110,36 @@ TARGET static inline uint32_t list_avx512(uint32_t *to, const uint16_t *hits, in
     }
     return (uint32_t)(to - begin);
 }
+
+/* Sixteen pixels of row y, one channel. */
+TARGET static inline __m512 row_avx512(const pixels *blocks, ptrdiff_t channel, int y) {
+    const char *at = (const char *)(blocks + y / 4 * 4) + channel + y % 4 * 16;
+#define FROM(k) _mm_load_ps((const float *)(const void *)(at + (k) * sizeof(pixels)))
+    __m512 row = _mm512_castps128_ps512(FROM(0));
+    row = _mm512_insertf32x4(row, FROM(1), 1);
+    row = _mm512_insertf32x4(row, FROM(2), 2);
+    return _mm512_insertf32x4(row, FROM(3), 3);
+#undef FROM
+}
+
+/* Writes a row of a tile past the caches. */
+TARGET static inline void stream_row_avx512(const tile *s, int y, float *rgb, float *t) {
+    __m512 r = row_avx512(s->pixels, offsetof(pixels, r), y);
+    __m512 g = row_avx512(s->pixels, offsetof(pixels, g), y);
+    __m512 b = row_avx512(s->pixels, offsetof(pixels, b), y);
+    for (int k = 0; k < 3; k++) { /* float i of the row is channel i % 3 of pixel i / 3 */
+        __m512i i = _mm512_add_epi32(_mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15),
+                                     _mm512_set1_epi32(16 * k));
+        __m512i pixel = _mm512_srli_epi32(_mm512_mullo_epi32(i, _mm512_set1_epi32(21846)), 16);
+        __m512i channel = _mm512_sub_epi32(i, _mm512_mullo_epi32(pixel, _mm512_set1_epi32(3)));
+        __m512i which = _mm512_add_epi32(pixel, _mm512_slli_epi32(_mm512_and_epi32(channel, _mm512_set1_epi32(1)), 4));
+        __m512 mixed = _mm512_permutex2var_ps(r, which, g);
+        __mmask16 blue = _mm512_cmpeq_epi32_mask(channel, _mm512_set1_epi32(2));
+        _mm512_stream_ps(rgb + 16 * k, _mm512_mask_permutexvar_ps(mixed, blue, pixel, b));
+    }
+    _mm512_stream_ps(t, _mm512_abs_ps(row_avx512(s->pixels, offsetof(pixels, t), y)));
+}
+#define STREAM_ROW(s, y, rgb, t) stream_row_avx512(s, y, rgb, t)
 
 #include "composite_template.h"
 #include "project_template.h"

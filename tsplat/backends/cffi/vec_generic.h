@@ -47,6 +47,9 @@ static inline unsigned bits4(vi4 m) {
 #define ILOAD(p) (*(const vi4 *)(const void *)(p))
 #define ISTORE(p, v) (*(vi4 *)(void *)(p) = (v))
 #define ISET1(x) ((vi4){(x), (x), (x), (x)})
+#define IADD(a, b) ((a) + (b))
+#define IMUL(a, b) ((a) * (b))
+#define TRUNCATE(a) __builtin_convertvector(a, vi4)
 #define COUNT_LESS(n, a, b) ((n) - ((a) < (b))) /* n + 1 where a < b */
 
 /* Half as many doubles. */

@@ -55,3 +55,7 @@
 #undef ISTORE
 #undef ISET1
 #undef COUNT_LESS
+#undef IADD
+#undef IMUL
+#undef TRUNCATE
+#undef STREAM_ROW
