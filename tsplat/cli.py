@@ -133,6 +133,10 @@ def _add_scene(parser: argparse.ArgumentParser, optional: bool = True) -> None:
     reading.add_argument(
         "--raw-opacity", action="store_true", help="the file's opacities are 0..1, not logits"
     )
+    reading.add_argument(
+        "--sh-float32", action="store_true",
+        help="keep colours in float32 even where float16 moves none by 1/4 of an 8-bit level",
+    )  # fmt: skip
 
 
 def _add_engine(parser: argparse.ArgumentParser) -> None:

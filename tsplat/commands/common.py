@@ -31,6 +31,7 @@ def load(arguments: argparse.Namespace) -> Scene:
             arguments.scene,
             max_splats=arguments.max_splats,
             raw_opacity=arguments.raw_opacity,
+            sh_float32=arguments.sh_float32,
             progress=progress,
         )
 

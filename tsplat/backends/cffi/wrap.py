@@ -29,12 +29,16 @@ def _pointer(array: NDArray[Any] | None, ctype: str) -> Any:
     return ffi.NULL if array is None else ffi.cast(f"{ctype} *", array.ctypes.data)
 
 
-def _scene(scene: Scene) -> Any:
+def _scene(scene: Scene, workspace: Workspace) -> Any:
     fields = [(n, _pointer(getattr(scene, n), "float")) for n in _SCENE_ARRAYS]
-    return ffi.new("tsplat_scene *", dict(fields, count=len(scene), coefficients=scene.sh.shape[1]))
+    sh = workspace.float32(scene.sh)
+    return ffi.new(
+        "tsplat_scene *",
+        dict(fields, sh=_pointer(sh, "float"), count=len(scene), coefficients=sh.shape[1]),
+    )
 
 
-_SCENE_ARRAYS = ("means", "quats", "scales", "opacities", "sh")
+_SCENE_ARRAYS = ("means", "quats", "scales", "opacities")
 
 
 def _camera(camera: Camera, scene: Scene) -> Any:
@@ -94,7 +98,7 @@ def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Works
     degree = min(params.sh_degree, scene.sh_degree)
     _check(
         lib.tsplat_project(
-            _scene(scene), _camera(camera, scene), _params(params, degree),
+            _scene(scene, workspace), _camera(camera, scene), _params(params, degree),
             _pointer(scratch, "float"), _pointer(counts, "int32_t"),
             _pointer(totals, "int64_t"), workspace.threads,
         ),
