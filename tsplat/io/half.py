@@ -1,8 +1,8 @@
 """float32 coefficients -> float16, and how far that can move a colour.
 
-NumPy's own cast takes 6 ns a number, and 40 ns where a number is below float16's normal range:
-longer than everything else that loading does. This one takes 2 ns of either, and gives the same
-bits (10^5 rows of degree 3, one core).
+NumPy's own cast takes 6 ns a number, and 45 ns where a number is below float16's normal range:
+longer than everything else that loading does. This one, with the bound of the error, takes about
+half and a seventh of that (4,096 rows of degree 3, one core).
 """
 
 from __future__ import annotations
@@ -118,13 +118,15 @@ def _error(values: F32, halves: F16, weights: F32) -> float:
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is doubtful
         for i in range(0, len(rows), PRODUCT):
             np.matmul(rows[i : i + PRODUCT], weights, out=channels[i : i + PRODUCT])
-        bounds = channels.max(1) * (RELATIVE * SLACK) + LEAST_STEP * float(weights[:, 0].sum())
-        doubtful = ~(bounds < SH_ERROR_MAX)
-        if not doubtful.any():
-            return float(bounds.max())
+        channels *= RELATIVE * SLACK
+        channels += LEAST_STEP * float(weights[:, 0].sum())
+        most = float(channels.max())
+        if most < SH_ERROR_MAX:
+            return most
+        doubtful = ~(channels < SH_ERROR_MAX).all(1)
         off = np.abs(halves[doubtful].astype(np.float64) - values[doubtful])
         exact = float((off.reshape(len(off), -1) @ weights.astype(np.float64)).max())
-    most = float(bounds[~doubtful].max(initial=0))
+    most = float(channels[~doubtful].max(initial=0))
     return max(most, exact) if exact < math.inf else math.inf
 
 
