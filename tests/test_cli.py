@@ -175,6 +175,42 @@ def test_info_describes_the_file(ply):
     assert "content" in text
 
 
+def test_info_says_how_far_off_colours_are(ply):
+    """float16 and its price by default; float32 and none if asked for."""
+    facts = json.loads(tsplat("info", ply, "--json").stdout)
+    assert facts["sh_dtype"] == "float16"
+    assert 0 < facts["sh_error_levels"] < 0.25
+    price = f"{facts['sh_error_levels']:.2g} of an 8-bit level"
+    assert (
+        price in {item["what"]: item["effect"] for item in facts["left_out"]}["SH beyond float16"]
+    )
+    text = " ".join(tsplat("info", ply).stdout.decode().split())
+    assert f"SH in float16: largest colour error {price} or less" in text
+    full = json.loads(tsplat("info", ply, "--sh-float32", "--json").stdout)
+    assert full["sh_dtype"] == "float32"
+    assert full["sh_error_levels"] == 0
+    assert full["bytes"] - facts["bytes"] == 300 * 4 * 3 * 2
+
+
+@pytest.mark.parametrize("option", ["--sh-float32", "--ideal", "--float64"])
+def test_render_in_full_precision(ply, tmp_path, option):
+    """Asked for float32, or for what is exact, no colour is rounded; else the plan says it is."""
+    words = ("render", ply, "-o", tmp_path / "x.png", "--size", "8x8", "--json")
+    whats = [
+        {item["what"] for item in json.loads(tsplat(*words, *more).stdout)["left_out"]}
+        for more in ((), (option,))
+    ]
+    assert "SH beyond float16" in whats[0]
+    assert "SH beyond float16" not in whats[1]
+
+
+def test_check_takes_float16_and_float32(ply):
+    """The contract holds on the file's colours either way."""
+    for more in ((), ("--sh-float32",)):
+        words = ("check", ply, "--size", "24x16", "--backend", "cffi", "--json", *more)
+        assert json.loads(tsplat(*words).stdout)["passed"]
+
+
 def test_plugins_lists_what_is_installed():
     """The promised shape, with every built-in available here."""
     facts = json.loads(tsplat("plugins", "--json").stdout)

@@ -133,6 +133,10 @@ def _add_scene(parser: argparse.ArgumentParser, optional: bool = True) -> None:
     reading.add_argument(
         "--raw-opacity", action="store_true", help="the file's opacities are 0..1, not logits"
     )
+    reading.add_argument(
+        "--sh-float32", action="store_true",
+        help="keep colours in float32 even where float16 moves none by 1/4 of an 8-bit level",
+    )  # fmt: skip
 
 
 def _add_engine(parser: argparse.ArgumentParser) -> None:
@@ -310,6 +314,9 @@ def _silence(stream: TextIO) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; the exit code: 0, 1 for an error or a broken contract, 2 for usage."""
     _open_streams()
+    # NumPy's OpenBLAS would start a thread for each CPU, which spins for the first 0.1 s and takes
+    # that time from threads that load the scene; the products here are too small to be shared.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     parser = make_parser()
     words = _arranged(sys.argv[1:] if argv is None else argv, parser)
     try:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from tsplat.core.camera import Camera
 from tsplat.core.errors import PluginError, printable
 from tsplat.core.params import RenderParams
 from tsplat.core.stages import STAGES, Backend, Fused, Stages
-from tsplat.core.types import Frame, Scene
-from tsplat.core.workspace import Workspace
+from tsplat.core.types import F16, F32, Frame, Scene
+from tsplat.core.workspace import Workspace, default_threads
 from tsplat.plugins import Registry, ask, load_backend, plugins
 
 AUTO = "auto"
@@ -104,13 +101,6 @@ def render(
     return (plan or make_plan(scene)).run(scene, camera, workspace).frame
 
 
-def default_threads() -> int:
-    """CPUs this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def parse_backend(text: str) -> dict[str, str]:
     """``numba`` or ``project=cffi,composite=numba`` as stage -> backend name, ``auto`` if unsaid.
 
@@ -149,6 +139,9 @@ def _leave_out(scene: Scene, params: RenderParams) -> tuple[RenderParams, list[L
     if lowest < degree:
         bands = str(degree) if lowest == degree - 1 else f"{lowest + 1} to {degree}"
         out.append(LeftOut(f"SH bands {bands}", "all their coefficients are zero"))
+    if scene.sh_error:
+        effect = f"no colour moves by more than {255 * scene.sh_error:.2g} of an 8-bit level"
+        out.append(LeftOut("SH beyond float16", "not asked for", effect))
     if not params.depth:
         out.append(LeftOut("depth", "not asked for"))
     if not params.antialias:
@@ -156,7 +149,7 @@ def _leave_out(scene: Scene, params: RenderParams) -> tuple[RenderParams, list[L
     return replace(params, sh_degree=lowest), out
 
 
-def _any_nonzero(array: np.ndarray[tuple[int, ...], np.dtype[np.float32]]) -> bool:
+def _any_nonzero(array: F16 | F32) -> bool:
     """``array.any()`` that stops at the first block that has one."""
     return any(array[i : i + 4096].any() for i in range(0, len(array), 4096))
 

@@ -83,7 +83,7 @@ def scene_extent(scene: Scene) -> Extent:
 
 def _quantiles(values: F64, weights: F64, *shares: float) -> F64:
     """The values below which these shares of all weight lie."""
-    order = np.argsort(values, kind="stable")
+    order = np.argsort(values)
     total = np.cumsum(weights[order])
     places = np.searchsorted(total, np.asarray(shares) * total[-1])
     return np.asarray(values[order][np.minimum(places, len(order) - 1)], np.float64)
@@ -127,12 +127,16 @@ def frame_orbit(
     slopes = MARGIN * np.array([width, height]) / 2 / view.K[[0, 1], [0, 1]]
     # a ball of radius blur touches a plane of slope t through the eye at z = x / t + blur / sin
     clearance = extent.blur * np.sqrt(1 + slopes**-2)
+    # in the picture is: |x| / slope + clearance - z of no more than the distance, and |y| likewise
+    sides = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]) / slopes
+    sides = np.column_stack([sides, np.full(4, -1.0)])
     distance = 0.0
+    points = np.ascontiguousarray(extent.points.T)
     for turn in range(TURNS):
         turned = replace(orbit, yaw=yaw + 2 * math.pi * turn / TURNS)
-        p = extent.points @ turned.camera(fov, width, height).rotation.T
-        needed = np.abs(p[:, :2]) / slopes + clearance - p[:, 2:]
-        distance = max(distance, float(needed.max(initial=0.0)))
+        outwards = sides @ turned.camera(fov, width, height).rotation
+        needed = (outwards @ points).max(1, initial=-math.inf) + np.repeat(clearance, 2)
+        distance = max(distance, float(needed.max()))
     # never in the ball or at its skin, where a wide field of view would else allow to stand
     return replace(orbit, distance=max(distance, 1.2 * extent.radius))
 

@@ -22,6 +22,8 @@ from tsplat.core.workspace import Workspace
         ({"scales": np.zeros((3, 2), np.float32).T}, "not contiguous"),
         ({"opacities": [0.5, 0.5]}, "got list"),
         ({"sh": np.zeros((2, 5, 3), np.float32)}, "1, 4, 9 or 16"),
+        ({"sh": np.zeros((2, 4, 3))}, r"float32 \[2, K, 3\], got float64 .* float16 will do too"),
+        ({"sh": np.zeros((2, 4), np.float16)}, r"float16 \[2, K, 3\], got float16 \[2, 4\]"),
     ],
 )  # fmt: skip
 def test_a_wrong_array_is_named_with_what_was_expected_and_what_came(change, text):
@@ -74,3 +76,20 @@ def test_text_of_unknown_origin_loses_its_control_characters():
     """Escape sequences in a file name or comment never reach the terminal."""
     assert "\x1b" not in printable("a\x1b[2Jb\x07\n")
     assert len(printable("x" * 1000)) == 200
+
+
+def test_a_workspace_converts_once():
+    """float32 is passed through; float16 is copied when it is another array, and let go."""
+    workspace = Workspace()
+    full = np.ones((4, 3), np.float32)
+    assert workspace.float32(full) is full
+    assert workspace.nbytes == 0
+    half = np.arange(12, dtype=np.float16).reshape(4, 3)
+    copy = workspace.float32(half)
+    assert copy.dtype == np.float32
+    np.testing.assert_array_equal(copy, half)
+    assert workspace.float32(half) is copy
+    assert workspace.nbytes == copy.nbytes
+    other = half + np.float16(1)
+    np.testing.assert_array_equal(workspace.float32(other), other)
+    np.testing.assert_array_equal(workspace.float32(half), half)

@@ -178,8 +178,26 @@ def test_nothing_is_mapped_before_the_size_is_checked(tmp_path, monkeypatch):
     """A header that promises too much is refused before plyfile may read a row."""
     path = tmp_path / "a.ply"
     path.write_bytes(header(count=10**9))
-    monkeypatch.setattr(plyrows, "read_rows", lambda *_: pytest.fail("rows were read"))
+    monkeypatch.setattr(plyrows, "open_rows", lambda *_: pytest.fail("rows were read"))
     assert "truncated" in refusal(path)
+
+
+@pytest.mark.parametrize("left", [0.1, 0.5, 0.999])
+def test_a_file_cut_short_while_it_is_read(tmp_path, monkeypatch, left):
+    """It is refused in one line, as a file that never was whole is; the process lives on."""
+    path = write_ply(tmp_path / "a.ply", raw_columns(500, 0))
+    whole = path.stat().st_size
+    open_rows = plyrows.open_rows
+
+    def cut(*arguments):
+        rows = open_rows(*arguments)
+        os.truncate(path, int(whole * left))
+        return rows
+
+    monkeypatch.setattr(plyrows, "open_rows", cut)
+    line = refusal(path)
+    assert re.search(f"ended at byte {int(whole * left)} while it was read, expected", line)
+    assert "copy it again" in line
 
 
 def test_every_cut_of_a_file_is_refused(tmp_path):

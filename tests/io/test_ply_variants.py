@@ -1,7 +1,8 @@
 """Every way of writing the same Gaussians must give the same Scene.
 
 Compared with ``plywriter.decode_plainly``, row by row in Python's floats, to one unit in the last
-place of float32. Not compared here: what is refused (test_ply_faults), real files (test_real).
+place of float32. Not compared here: float16 (test_half), what is refused (test_ply_faults), real
+files (test_real).
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from tests.io.plywriter import (
     write_ply,
 )
 from tsplat.core.errors import ParamsError
-from tsplat.io import load_scene
-from tsplat.io.clean import CHUNK
+from tsplat.io import load_scene, ply
+from tsplat.io.base import sample_rows
 
 OTHERS = st.lists(st.sampled_from([FACE, EXTRINSIC, NO_ROWS]), unique_by=id, max_size=3)
 
@@ -76,7 +77,7 @@ def test_any_variant_gives_the_same_scene(tmp_path, data):
         comments=data.draw(st.lists(st.sampled_from(["", "element vertex 9", "Ärger"]))),
         line_end=data.draw(st.sampled_from(["\n", "\r\n"])),
     )
-    assert_scene(load_scene(path), as_stored(columns, types))
+    assert_scene(load_scene(path, sh_float32=True), as_stored(columns, types))
 
 
 @pytest.mark.parametrize("fmt", FORMATS)
@@ -84,7 +85,8 @@ def test_any_variant_gives_the_same_scene(tmp_path, data):
 def test_every_degree_in_every_encoding(tmp_path, degree, fmt):
     """0, 9, 24 and 45 f_rest properties are degrees 0 to 3, stored channel by channel."""
     columns = raw_columns(5, degree)
-    scene = load_scene(write_ply(tmp_path / "a.ply", columns, fmt=fmt))
+    path = write_ply(tmp_path / "a.ply", columns, fmt=fmt)
+    scene = load_scene(path, sh_float32=True)
     assert scene.sh_degree == degree
     assert scene.name == "a.ply"
     assert_scene(scene, as_stored(columns, {}))
@@ -103,21 +105,57 @@ def test_alphabetical_order_as_brush_writes_it(tmp_path):
     """f_rest_10 before f_rest_2 in the file changes nothing: properties are found by name."""
     columns = raw_columns(4, 3)
     path = write_ply(tmp_path / "a.ply", columns, order=sorted(names_inria(3, normals=False)))
-    assert_scene(load_scene(path), as_stored(columns, {}))
+    assert_scene(load_scene(path, sh_float32=True), as_stored(columns, {}))
 
 
-def test_more_rows_than_a_chunk(tmp_path):
-    """Rows at both sides of every chunk border arrive once and in order."""
-    n = 2 * CHUNK + 3
-    columns = raw_columns(n, 0)
+@pytest.fixture
+def small_pieces(monkeypatch):
+    """Chunks of 7 rows and pieces of 21, so that small files are read by many threads in turn."""
+    monkeypatch.setattr(ply, "CHUNK", 7)
+    monkeypatch.setattr(ply, "PIECE", 21)
+
+
+@pytest.mark.parametrize("fmt", FORMATS)
+def test_more_rows_than_a_piece(tmp_path, small_pieces, fmt):
+    """Rows at both sides of every border arrive once and in order; progress never goes back."""
+    n = 5 * 21 + 8
+    columns = raw_columns(n, 1)
     columns["x"] = np.arange(n)
     calls = []
-    path = write_ply(tmp_path / "a.ply", columns)
-    scene = load_scene(path, progress=lambda done, total: calls.append((done, total)))
+    path = write_ply(tmp_path / "a.ply", columns, fmt=fmt)
+    scene = load_scene(path, sh_float32=True, progress=lambda *call: calls.append(call))
     np.testing.assert_array_equal(scene.means[:, 0], np.arange(n))
-    assert calls[0] == (0, n) or calls[0][1] == path.stat().st_size
-    assert calls[-1] == (n, n)
-    assert len(calls) >= 4
+    assert_scene(scene, as_stored(columns, {}))
+    if fmt == LITTLE:
+        assert calls[-7:] == [(done, n) for done in (0, 21, 42, 63, 84, 105, n)]
+
+
+def test_what_is_dropped_in_many_pieces_leaves_no_gap(tmp_path, small_pieces):
+    """Whichever rows of whichever pieces are left out, the others follow each other in order."""
+    n = 200
+    columns = raw_columns(n, 1)
+    columns["x"] = np.arange(n).astype(float)
+    bad = np.random.default_rng(0).random(n) < 0.3
+    bad[21:42] = True  # a piece of which nothing stays
+    columns["y"][bad] = np.nan
+    columns["opacity"][~bad & (np.arange(n) % 9 == 0)] = np.nan
+    good = ~bad & (np.arange(n) % 9 != 0)
+    scene = load_scene(write_ply(tmp_path / "a.ply", columns), sh_float32=True)
+    assert_scene(scene, as_stored({k: v[good] for k, v in columns.items()}, {}))
+    assert dict(scene.dropped) == {
+        "mean not finite": bad.sum(),
+        "opacity not a number": (~bad & ~good).sum(),
+    }
+
+
+@pytest.mark.parametrize("keep", [1, 3, 20, 199])
+def test_a_sample_of_many_pieces(tmp_path, small_pieces, keep):
+    """A sample is the same rows whether few or many of a piece are picked, or none."""
+    columns = raw_columns(200, 0)
+    path = write_ply(tmp_path / "a.ply", columns)
+    rows = sample_rows(200, keep)
+    scene = load_scene(path, max_splats=keep, sh_float32=True)
+    assert_scene(scene, as_stored({k: v[rows] for k, v in columns.items()}, {}))
 
 
 def test_double_positions_keep_their_detail(tmp_path):

@@ -61,7 +61,7 @@ def test_there_are_files_of_both_kinds():
 def test_values_are_those_other_parsers_found(path):
     """Count, degree, bounds, and position, scale, rotation, opacity, colour of three Gaussians."""
     entry = PLY[path]
-    scene = load_scene(DATA / path)
+    scene = load_scene(DATA / path, sh_float32=True)
     assert len(scene) == entry["splats"]
     assert scene.sh_degree == entry["sh_degree"]
     assert not scene.dropped

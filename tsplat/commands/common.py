@@ -17,8 +17,11 @@ from tsplat.core.types import Scene
 DEFAULT_SIZE = 1280, 720
 
 
-def load(arguments: argparse.Namespace) -> Scene:
-    """The scene named on the command line, or the demo scene; a progress bar if it takes long."""
+def load(arguments: argparse.Namespace, *, exact: bool = False) -> Scene:
+    """The scene named on the command line, or the demo scene; a progress bar if it takes long.
+
+    ``exact`` keeps colours in float32, as ``--sh-float32`` does.
+    """
     if arguments.scene is None:
         from tsplat.demo import demo_scene
 
@@ -31,6 +34,7 @@ def load(arguments: argparse.Namespace) -> Scene:
             arguments.scene,
             max_splats=arguments.max_splats,
             raw_opacity=arguments.raw_opacity,
+            sh_float32=arguments.sh_float32 or exact,
             progress=progress,
         )
 

@@ -50,6 +50,8 @@ def describe(scene: Scene, plan: Plan) -> dict[str, Any]:
         "gaussians": len(scene),
         "dropped": dict(scene.dropped),
         "sh_degree": scene.sh_degree,
+        "sh_dtype": scene.sh.dtype.name,
+        "sh_error_levels": 255 * scene.sh_error,
         "origin": scene.origin.tolist(),
         "bounds": [low.tolist(), high.tolist()],
         "content": {"centre": extent.centre.tolist(), "radius": extent.radius},
@@ -65,6 +67,15 @@ def describe(scene: Scene, plan: Plan) -> dict[str, Any]:
     }
 
 
+def _precision(facts: dict[str, Any]) -> str:
+    if facts["sh_dtype"] == "float32":
+        return "float32"
+    return (
+        f"{facts['sh_dtype']}: largest colour error {facts['sh_error_levels']:.2g} of an 8-bit "
+        "level or less; --sh-float32 keeps all"
+    )
+
+
 def _lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
     def numbers(values: list[float]) -> str:
         return "  ".join(f"{v:.4g}" for v in values)
@@ -74,6 +85,7 @@ def _lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
         ("Gaussians", f"{facts['gaussians']:,}"),
         *(("left out", f"{n:,}: {reason}") for reason, n in facts["dropped"].items()),
         ("SH degree", str(facts["sh_degree"])),
+        ("SH in", _precision(facts)),
         ("memory", f"{facts['bytes'] / 1e6:.1f} MB"),
         ("bounds", f"{numbers(facts['bounds'][0])}  to  {numbers(facts['bounds'][1])}"),
         (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import statistics
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -37,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ParamsError("--json and -o - both write to stdout; choose one")
     check_output(arguments.output, arguments.background)
     begin = time.perf_counter()
-    scene = load(arguments)
+    scene = load(arguments, exact=arguments.ideal or arguments.float64)
     loaded = time.perf_counter() - begin
     camera = pose(arguments, scene)
     plan = make_plan(
@@ -61,6 +60,8 @@ def _over(runs: Sequence[Rendered], summarise: Any) -> dict[str, float]:
 def _facts(
     scene: Scene, plan: Plan, runs: Sequence[Rendered], seconds: Mapping[str, float]
 ) -> dict[str, Any]:
+    import statistics
+
     last = runs[-1]
     return {
         "backend": dict(plan.backends),

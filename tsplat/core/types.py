@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tsplat.core.constants import SH_DEGREE_MAX
 from tsplat.core.errors import SceneError, check_array
 
+F16 = NDArray[np.float16]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -45,12 +46,15 @@ class Scene:
     quats: F32  # [N, 4]     w, x, y, z; unit length
     scales: F32  # [N, 3]    world units, standard deviations along the Gaussian's own axes; >= 0
     opacities: F32  # [N]    0..1
-    sh: F32  # [N, K, 3]     spherical harmonics, K in {1, 4, 9, 16}; display-referred RGB
+    sh: (
+        F32 | F16  # [N, K, 3]  spherical harmonics, K in {1, 4, 9, 16}; display-referred RGB
+    )
     origin: F64 = field(default_factory=_zero_origin)  # [3]  world units
     name: str = "scene"  # for messages
     dropped: Mapping[str, int] = field(
         default_factory=dict
     )  # reason -> Gaussians the loader left out
+    sh_error: float = 0.0  # 0..1: no colour is farther off for sh being float16, from anywhere
 
     def __post_init__(self) -> None:
         check_array("Scene.means", self.means, np.float32, ("N", 3))
@@ -60,7 +64,14 @@ class Scene:
         )
         check_array("Scene.scales", self.scales, np.float32, (n, 3), "Linear, not logarithms.")
         check_array("Scene.opacities", self.opacities, np.float32, (n,), "In 0..1, not logits.")
-        check_array("Scene.sh", self.sh, np.float32, (n, "K", 3), "Coefficient-major, RGB last.")
+        half = getattr(self.sh, "dtype", None) == np.float16
+        check_array(
+            "Scene.sh",
+            self.sh,
+            np.float16 if half else np.float32,
+            (n, "K", 3),
+            "Coefficient-major, RGB last; float16 will do too.",
+        )
         check_array("Scene.origin", self.origin, np.float64, (3,))
         if self.sh.shape[1] not in (1, 4, 9, 16):
             raise SceneError(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import weakref
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,6 +14,13 @@ from numpy.typing import DTypeLike, NDArray
 from tsplat.core.errors import ParamsError
 
 THREADS_MAX = 256
+
+
+def default_threads() -> int:
+    """CPUs this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class Workspace:
@@ -29,6 +39,8 @@ class Workspace:
             raise ParamsError(f"threads: expected 1 to {THREADS_MAX}, got {threads}")
         self.threads = threads
         self._buffers: dict[str, NDArray[Any]] = {}
+        self._converted: tuple[Callable[[], object], NDArray[np.float32]]
+        self._converted = (lambda: None), np.empty(0, np.float32)
 
     def array(self, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         """A C-contiguous array, 64-byte aligned; its contents are whatever was there before."""
@@ -42,7 +54,20 @@ class Workspace:
             buffer = self._buffers[name] = raw[start : start + room]
         return buffer[:size].view(wanted).reshape(shape)
 
+    def float32(self, array: NDArray[np.floating]) -> NDArray[np.float32]:
+        """``array`` itself if it is float32, else a copy that is kept until another is asked for.
+
+        For kernels that read float32 only, of arrays that stay the same from frame to frame.
+        """
+        if array.dtype == np.float32:
+            return array
+        source, copy = self._converted
+        if source() is not array:
+            copy = array.astype(np.float32)
+            self._converted = weakref.ref(array), copy
+        return copy
+
     @property
     def nbytes(self) -> int:
         """Bytes held."""
-        return sum(b.nbytes for b in self._buffers.values())
+        return sum(b.nbytes for b in self._buffers.values()) + self._converted[1].nbytes

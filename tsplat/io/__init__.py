@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,7 @@ def load_scene(
     *,
     max_splats: int | None = None,
     raw_opacity: bool = False,
+    sh_float32: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Scene:
     """The Gaussians of a file; which reader reads it is decided by its first bytes.
@@ -41,6 +43,8 @@ def load_scene(
         max_splats: keep at most this many, drawn evenly from the whole file; the same ones on
             every run. How many that leaves out is counted too.
         raw_opacity: the file stores opacities as 0..1, not as logits.
+        sh_float32: keep spherical harmonics in float32. Otherwise they are float16 where that
+            moves no colour by a quarter of an 8-bit level; ``Scene.sh_error`` is how much it does.
         progress: called often with (done, total) in any unit;
             :func:`tsplat.io.progress.progress_bar` makes one that draws on stderr.
 
@@ -52,9 +56,9 @@ def load_scene(
 
     if max_splats is not None and max_splats < 1:
         raise ParamsError(f"max_splats: expected 1 or more, got {max_splats}")
-    options = ReadOptions(max_splats=max_splats, raw_opacity=raw_opacity)
+    options = ReadOptions(max_splats, raw_opacity, sh_float32=sh_float32)
     if progress is not None:
-        options = ReadOptions(max_splats, raw_opacity, progress)
+        options = replace(options, progress=progress)
     file = Path(path)
     shown = printable(file)
     try:

@@ -27,6 +27,7 @@ class ReadOptions:
     max_splats: int | None = None  # keep at most this many, an even, seeded sample
     raw_opacity: bool = False  # opacities are stored as 0..1, not as logits
     progress: Callable[[int, int], None] = _silent  # (done, total) in any unit, called often
+    sh_float32: bool = False  # keep SH in float32 even where float16 would do
 
 
 class Read(Protocol):

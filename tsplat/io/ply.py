@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,13 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F64, Floats, Scene
+from tsplat.core.types import F32, F64, Floats, Scene
+from tsplat.core.workspace import default_threads
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, sample_rows
 from tsplat.io.clean import CHUNK, OPACITY_RANGE, SceneBuilder
+from tsplat.io.half import SH_ERROR_MAX
 
 if TYPE_CHECKING:
-    from tsplat.io.plyrows import Element, Header
+    from tsplat.io.plyrows import Element, Header, Rows
 
 MEANS = ("x", "y", "z")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
@@ -37,7 +40,16 @@ TELLING = ("opacity", *DC, *SCALES, *QUATS)
 REST_COUNTS = (0, 9, 24, 45)
 """f_rest properties of degree 0 to 3: for each of three channels (degree + 1)^2 - 1."""
 
+Columns = Callable[[NDArray[np.void]], NDArray[np.generic]]
+"""Rows -> [n, k], some of their properties."""
+
 SAMPLED = "beyond max_splats"
+
+PIECE = 4 * CHUNK
+"""Rows that a thread decodes before it takes the next."""
+
+THREADS = 8
+"""More would wait for each other: between two of NumPy's steps only one runs."""
 
 
 def rest_count(properties: tuple[str, ...]) -> int | str:
@@ -61,13 +73,13 @@ def rest_count(properties: tuple[str, ...]) -> int | str:
     return len(rest)
 
 
-def _columns(rows: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.generic]:
-    """[n, len(names)]: a view where the properties lie side by side, as they mostly do.
+def _columns(dtype: np.dtype[np.void], names: tuple[str, ...]) -> Columns:
+    """How to get the properties ``names`` of rows: a view where they lie side by side, as mostly.
 
-    Of one type it is that type; of several, float32 if every value fits into it exactly, else
+    Of one type they keep it; of several, float32 if every value fits into it exactly, else
     float64.
     """
-    fields = [rows.dtype.fields[name] for name in names]  # type: ignore[index]
+    fields = [dtype.fields[name] for name in names]  # type: ignore[index]
     kind, first = fields[0][:2]
     if [f[:2] for f in fields] == [(kind, first + j * kind.itemsize) for j in range(len(fields))]:
         run = np.dtype(
@@ -75,20 +87,23 @@ def _columns(rows: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.gener
                 "names": ["run"],
                 "formats": [(kind, (len(names),))],
                 "offsets": [first],
-                "itemsize": rows.dtype.itemsize,
+                "itemsize": dtype.itemsize,
             }
         )
-        return rows.view(run)["run"]
+        return lambda rows: rows.view(run)["run"]
     fits = all(np.can_cast(f[0], np.float32) for f in fields)
-    columns = np.empty((len(rows), len(names)), np.float32 if fits else np.float64)
-    for j, name in enumerate(names):
-        columns[:, j] = rows[name]
-    return columns
+
+    def gathered(rows: NDArray[np.void]) -> NDArray[np.generic]:
+        columns = np.empty((len(rows), len(names)), np.float32 if fits else np.float64)
+        for j, name in enumerate(names):
+            columns[:, j] = rows[name]
+        return columns
+
+    return gathered
 
 
-def _floats(rows: NDArray[np.void], names: tuple[str, ...]) -> Floats:
-    """[n, len(names)] float32 if every property fits into it exactly, float64 otherwise."""
-    columns = _columns(rows, names)
+def _floats(columns: NDArray[np.generic]) -> Floats:
+    """``columns`` as float32 if every value fits into it exactly, float64 otherwise."""
     if np.can_cast(columns.dtype, np.float32):
         return columns.astype(np.float32, copy=False)
     return columns.astype(np.float64, copy=False)
@@ -100,26 +115,38 @@ def sigmoid(logits: F64) -> F64:
         return 1 / (1 + np.exp(-logits))
 
 
-def _add(builder: SceneBuilder, rows: NDArray[np.void], rest: int, raw_opacity: bool) -> None:
-    """Decodes ``rows`` into ``builder``. exp and sigmoid in float64: rounded once, to float32."""
-    per_channel = rest // 3
-    sh = np.empty((len(rows), 1 + per_channel, 3), np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):  # the builder drops what is not finite
-        opacities = rows["opacity"].astype(np.float64)
-        means, quats = _floats(rows, MEANS), _floats(rows, QUATS)
-        scales = np.exp(_columns(rows, SCALES).astype(np.float64)).astype(np.float32)
-        sh[:, 0] = _columns(rows, DC)
-        for channel in range(3 if per_channel else 0):
-            first = channel * per_channel
-            names = tuple(f"f_rest_{i}" for i in range(first, first + per_channel))
-            sh[:, 1:, channel] = _columns(rows, names)
-    builder.add(
-        means,
-        quats,
-        scales,
-        opacities if raw_opacity else sigmoid(opacities),
-        sh,
-    )
+class Layout:
+    """Where the properties of a Gaussian stand in rows of ``dtype``."""
+
+    def __init__(self, dtype: np.dtype[np.void], rest: int) -> None:
+        """``rest`` is how many ``f_rest_*`` there are."""
+        self.coefficients = 1 + rest // 3
+        self._means, self._quats = _columns(dtype, MEANS), _columns(dtype, QUATS)
+        self._scales, self._dc = _columns(dtype, SCALES), _columns(dtype, DC)
+        per_channel = rest // 3
+        self._rest = [
+            _columns(dtype, tuple(f"f_rest_{i}" for i in range(first, first + per_channel)))
+            for first in (range(0, rest, per_channel) if rest else ())
+        ]
+
+    def add(
+        self, builder: SceneBuilder, at: int, rows: NDArray[np.void], raw_opacity: bool, sh: F32
+    ) -> None:
+        """Decodes ``rows`` into ``builder`` from row ``at`` on; ``sh`` [n, K, 3] is scratch.
+
+        exp and sigmoid in float64: rounded once, to float32.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):  # the builder drops what is not finite
+            opacities = rows["opacity"].astype(np.float64)
+            means = _floats(np.ascontiguousarray(self._means(rows)))
+            quats = _floats(self._quats(rows))
+            scales = np.exp(self._scales(rows).astype(np.float64)).astype(np.float32)
+            sh[:, 0] = self._dc(rows)
+            for channel, columns in enumerate(self._rest):
+                sh[:, 1:, channel] = columns(rows)
+        if not raw_opacity:
+            opacities = sigmoid(opacities)
+        builder.add(means, quats, scales, opacities, sh, at)
 
 
 def check(path: Path, header: Header) -> Element:
@@ -170,8 +197,8 @@ def read(path: Path, options: ReadOptions) -> Scene:
     rest = rest_count(vertex.properties)
     if isinstance(rest, str):
         refuse(path, rest)
-    rows = plyrows.read_rows(path, header, options.progress)
-    builder = decode(rows, rest, options, _nothing if header.text else options.progress)
+    with plyrows.open_rows(path, header, options.progress) as rows:
+        builder = decode(rows, rest, options, _nothing if header.text else options.progress)
     if options.raw_opacity and builder.dropped[OPACITY_RANGE] > len(builder):
         refuse(
             path,
@@ -195,24 +222,59 @@ def _nothing(done: int, total: int) -> None:
 
 
 def decode(
-    rows: NDArray[np.void], rest: int, options: ReadOptions, progress: Callable[[int, int], None]
+    rows: Rows, rest: int, options: ReadOptions, progress: Callable[[int, int], None]
 ) -> SceneBuilder:
-    """All of ``rows``, or an even sample of ``options.max_splats``, chunk by chunk."""
-    picked = None
-    keep = len(rows)
-    if options.max_splats is not None and options.max_splats < len(rows):
-        keep = options.max_splats
-        picked = sample_rows(len(rows), keep)
+    """All of ``rows``, or an even sample of ``options.max_splats``; SH in float16 if that will do.
+
+    Whether it will do is known at the end. If not, all is read again: keeping float32 as well
+    until then would take more memory than the file.
+    """
+    if not options.sh_float32:
+        builder = _decode(rows, rest, options, progress, half=True)
+        if builder.sh_error < SH_ERROR_MAX:
+            return builder
+        del builder  # its memory is needed
+    return _decode(rows, rest, options, progress, half=False)
+
+
+def _decode(
+    rows: Rows, rest: int, options: ReadOptions, progress: Callable[[int, int], None], *, half: bool
+) -> SceneBuilder:
+    """Cut short if ``half`` turns out not to do."""
+    total = len(rows)
+    keep = min(options.max_splats or total, total)
+    picked = sample_rows(total, keep) if keep < total else None
+    layout = Layout(rows.dtype, rest)
     wide = not all(np.can_cast(rows.dtype[name], np.float32) for name in MEANS)
-    builder = SceneBuilder(keep, 1 + rest // 3, wide=wide)
+    builder = SceneBuilder(keep, layout.coefficients, wide=wide, half=half)
     if picked is not None:
-        builder.dropped[SAMPLED] = len(rows) - keep
+        builder.dropped[SAMPLED] = total - keep
+
+    def place(row: int) -> int:
+        """Where ``row`` of the file, or the first one behind it that is picked, goes."""
+        return row if picked is None else int(np.searchsorted(picked, row))
+
+    def piece(first: int) -> int:
+        """Decodes PIECE rows; returns where the rows behind them go."""
+        end = min(first + PIECE, total)
+        room = np.empty(min(CHUNK, end - first), rows.dtype)
+        sh = np.empty((len(room), layout.coefficients, 3), np.float32)
+        for start in range(first, end, CHUNK):
+            stop = min(start + CHUNK, end)
+            at, behind = place(start), place(stop)
+            if builder.sh_error >= SH_ERROR_MAX:
+                break
+            if picked is None:
+                chunk = rows.read(start, stop, room)
+            else:
+                chunk = rows.read(start, stop, room)[picked[at:behind] - start]
+            layout.add(builder, at, chunk, options.raw_opacity, sh[: len(chunk)])
+        return place(end)
+
     progress(0, keep)
-    for start in range(0, keep, CHUNK):
-        stop = min(start + CHUNK, keep)
-        chunk = rows[start:stop] if picked is None else rows[picked[start:stop]]
-        _add(builder, np.asarray(chunk), rest, options.raw_opacity)
-        progress(stop, keep)
+    with ThreadPoolExecutor(min(default_threads(), THREADS), "tsplat-ply") as pool:
+        for done in pool.map(piece, range(0, total, PIECE)):
+            progress(done, keep)
     return builder
 
 

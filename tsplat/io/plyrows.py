@@ -12,11 +12,12 @@ Format: G. Turk, "The PLY Polygon File Format", 1994.
 from __future__ import annotations
 
 import io
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,11 +198,61 @@ def _without_elements_after_vertex(header: Header) -> bytes:
     return b"".join(line + header.line_end for line in lines)
 
 
-def read_rows(path: Path, header: Header, progress: Callable[[int, int], None]) -> NDArray[np.void]:
-    """[N] structured rows of element ``vertex``: a memory map where the file is binary.
+class Rows:
+    """The N rows of element ``vertex``, to be read piece by piece.
 
-    ``progress`` is called while text is parsed; mapping takes no time. Whoever reads the map
-    should copy and let go: a file that is cut short meanwhile ends the process (SIGBUS).
+    Binary rows are read, not mapped: pages of a map would count as this process's memory, and a
+    file that is cut short meanwhile would end it (SIGBUS). Threads may read at once.
+    """
+
+    def __init__(self, path: Path, table: NDArray[np.void]) -> None:
+        """``table`` is all rows; if it is a map of the file, no more than its whereabouts."""
+        self._path = path
+        self._count = len(table)
+        self.dtype = table.dtype
+        self._table = self._file = None
+        if isinstance(table, np.memmap):
+            self._offset = table.offset
+            self._file = path.open("rb", buffering=0)
+        else:
+            self._table = table
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def read(self, start: int, stop: int, room: NDArray[np.void]) -> NDArray[np.void]:
+        """Rows ``start`` to ``stop``; ``room`` holds as many, and is where they may be put.
+
+        Raises:
+            SceneError: the file has become too short.
+        """
+        if self._file is None:
+            assert self._table is not None
+            return self._table[start:stop]
+        rows = room[: stop - start]
+        left = rows.view(np.uint8).data
+        at = self._offset + start * self.dtype.itemsize
+        while left:
+            got = os.preadv(self._file.fileno(), [left], at)
+            if not got:
+                refuse(
+                    self._path,
+                    f"ended at byte {at} while it was read, expected {len(left)} more; "
+                    "wait until it is written, or copy it again",
+                )
+            left, at = left[got:], at + got
+        return rows
+
+
+def open_rows(path: Path, header: Header, progress: Callable[[int, int], None]) -> Rows:
+    """The rows of element ``vertex``. ``progress`` is called while text is parsed.
 
     Raises:
         SceneError: plyfile cannot make sense of the rows.
@@ -221,7 +272,6 @@ def read_rows(path: Path, header: Header, progress: Callable[[int, int], None]) 
             # plyfile would wrap the bytes of a text file itself, and leave the wrapper open
             source = io.TextIOWrapper(stream, "ascii") if header.text else stream
             with source, np.errstate(over="ignore"):  # "1e99" is infinite in float32
-                rows: NDArray[np.void] = PlyData.read(source, mmap="r")["vertex"].data
+                return Rows(path, PlyData.read(source, mmap="r")["vertex"].data)
     except REFUSALS as error:
         refuse(path, f"PLY rows that cannot be read: {_one_line(error)}; the file is damaged")
-    return rows

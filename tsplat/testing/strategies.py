@@ -30,6 +30,7 @@ ODDITIES = (
     "far origin",  # centres at 1e6 units
     "bright",  # colours beyond 1
     "dark",  # colours clamped at 0
+    "half",  # spherical harmonics in float16
 )
 
 
@@ -96,7 +97,8 @@ def make_scene(seed: int, n: int, degree: int, oddities: frozenset[str]) -> Scen
         origin = np.round(rng.uniform(-1e6, 1e6, 3))
     return Scene(
         means.astype(np.float32), quats, scales.astype(np.float32),
-        _off_threshold(opacities).astype(np.float32), sh.astype(np.float32), origin,
+        _off_threshold(opacities).astype(np.float32),
+        sh.astype(np.float16) if "half" in oddities else sh.astype(np.float32), origin,
     )  # fmt: skip
 
 

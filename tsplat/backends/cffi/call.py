@@ -30,13 +30,19 @@ def pointer(array: NDArray[Any] | None, ctype: str) -> Any:
     return ffi.NULL if array is None else ffi.cast(f"{ctype} *", array.ctypes.data)
 
 
-_SCENE_ARRAYS = ("means", "quats", "scales", "opacities", "sh")
+_SCENE_ARRAYS = ("means", "quats", "scales", "opacities")
 
 
 def scene_struct(scene: Scene) -> Any:
     """``tsplat_scene *``; good as long as the scene lives."""
     fields = [(n, pointer(getattr(scene, n), "float")) for n in _SCENE_ARRAYS]
-    return ffi.new("tsplat_scene *", dict(fields, count=len(scene), coefficients=scene.sh.shape[1]))
+    return ffi.new(
+        "tsplat_scene *",
+        dict(
+            fields, sh=pointer(scene.sh, "void"), half=scene.sh.dtype == np.float16,
+            count=len(scene), coefficients=scene.sh.shape[1],
+        ),
+    )  # fmt: skip
 
 
 def camera_struct(camera: Camera, scene: Scene) -> Any:

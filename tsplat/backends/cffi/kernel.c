@@ -76,48 +76,33 @@ static lens make_lens(const tsplat_camera *c, const tsplat_params *p) {
     return out;
 }
 
-/* Colour of Gaussian i: max(0, 0.5 + sum of harmonics in the direction from the camera); see
- * reference.sh_basis. */
-static inline void sh_color(const tsplat_scene *s, const lens *lens, int64_t i, float *color) {
-    int degree = lens->sh_degree;
-    const float *sh = s->sh + 3 * i * s->coefficients;
-    float r = 0.5f + (float)SH_C0 * sh[0], g = 0.5f + (float)SH_C0 * sh[1],
-          b = 0.5f + (float)SH_C0 * sh[2];
-    if (degree > 0) {
-        const float *m = s->means + 3 * i;
-        double dx = m[0] - lens->centre[0], dy = m[1] - lens->centre[1], dz = m[2] - lens->centre[2];
-        double inverse = 1 / sqrt(dx * dx + dy * dy + dz * dz);
-        float x = (float)(dx * inverse), y = (float)(dy * inverse), z = (float)(dz * inverse);
-        float xx = x * x, yy = y * y, zz = z * z, basis[16];
-        basis[1] = (float)-SH_C1 * y;
-        basis[2] = (float)SH_C1 * z;
-        basis[3] = (float)-SH_C1 * x;
-        if (degree > 1) {
-            basis[4] = (float)SH_C2_0 * (x * y);
-            basis[5] = (float)SH_C2_1 * (y * z);
-            basis[6] = (float)SH_C2_2 * (2 * zz - xx - yy);
-            basis[7] = (float)SH_C2_3 * (x * z);
-            basis[8] = (float)SH_C2_4 * (xx - yy);
-        }
-        if (degree > 2) {
-            basis[9] = (float)SH_C3_0 * y * (3 * xx - yy);
-            basis[10] = (float)SH_C3_1 * (x * y) * z;
-            basis[11] = (float)SH_C3_2 * y * (4 * zz - xx - yy);
-            basis[12] = (float)SH_C3_3 * z * (2 * zz - 3 * xx - 3 * yy);
-            basis[13] = (float)SH_C3_4 * x * (4 * zz - xx - yy);
-            basis[14] = (float)SH_C3_5 * z * (xx - yy);
-            basis[15] = (float)SH_C3_6 * x * (xx - 3 * yy);
-        }
-        int terms = (degree + 1) * (degree + 1);
-        for (int k = 1; k < terms; k++) {
-            r += basis[k] * sh[3 * k];
-            g += basis[k] * sh[3 * k + 1];
-            b += basis[k] * sh[3 * k + 2];
-        }
+static inline float half_to_float(uint16_t half) {
+    uint32_t magnitude = half & 0x7fff, bits = (uint32_t)(half & 0x8000) << 16;
+    float value = (float)magnitude * 0x1p-24f; /* below the normal halves */
+    if (magnitude < 0x400) return bits ? -value : value;
+    bits |= (magnitude << 13) + (112u << 23);
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+/* Colour of Gaussian i as band 0 alone makes it. */
+static void plain_color(const tsplat_scene *s, int64_t i, float *color) {
+    int64_t at = 3 * i * s->coefficients;
+    for (int c = 0; c < 3; c++) {
+        float sh = s->half ? half_to_float(((const uint16_t *)s->sh)[at + c]) : ((const float *)s->sh)[at + c];
+        color[c] = (float)max_(0.5f + (float)SH_C0 * sh, 0);
     }
-    color[0] = r > 0 ? r : 0;
-    color[1] = g > 0 ? g : 0;
-    color[2] = b > 0 ? b : 0;
+}
+
+/* Fetches the coefficients of packed Gaussians ahead of their use. */
+static inline void fetch_sh(const tsplat_scene *s, const tsplat_packed *packed, int64_t first,
+                            int64_t count) {
+    int64_t bytes = 3LL * s->coefficients * (s->half ? 2 : 4);
+    for (int64_t i = first; i < min64(first + count, packed->count); i++) {
+        int32_t id;
+        memcpy(&id, packed->columns + (i / 16 * packed->width + 11) * 16 + i % 16, sizeof id);
+        for (int64_t k = 0; k < bytes; k += 64) PREFETCH((const char *)s->sh + id * bytes + k);
+    }
 }
 
 /* project_group(scene, lens, first, count, out, overflowed): projects at most LANES Gaussians into
@@ -174,7 +159,8 @@ int tsplat_isas(void) {
 #if defined(__x86_64__) && defined(__GNUC__)
     __builtin_cpu_init();
     if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
-        __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt"))
+        __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt") &&
+        __builtin_cpu_supports("f16c"))
         found |= TSPLAT_AVX2; /* with lzcnt, which every such CPU has */
     if (found & TSPLAT_AVX2 && __builtin_cpu_supports("avx512f") &&
         __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&

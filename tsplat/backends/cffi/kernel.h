@@ -32,9 +32,10 @@ typedef struct {
     const float *quats;         /* [N, 4] w x y z, unit */
     const float *scales;        /* [N, 3] world units */
     const float *opacities;     /* [N]    0..1 */
-    const float *sh;            /* [N, coefficients, 3] */
+    const void *sh;             /* [N, coefficients, 3] float, or IEEE half if half is 1 */
     int64_t count;              /* N */
     int32_t coefficients;       /* 1, 4, 9 or 16 */
+    int32_t half;               /* 0 or 1 */
 } tsplat_scene;
 
 typedef struct {

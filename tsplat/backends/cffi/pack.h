@@ -57,7 +57,6 @@ int tsplat_pack(const tsplat_scene *scene, const int32_t *order, double alpha_th
     if (n < 0 || n > scene->count || threads < 1) return TSPLAT_BAD_SIZE;
     if (width != TSPLAT_COLUMNS && !colored) return TSPLAT_BAD_SIZE;
     double least = max_(alpha_threshold, ALPHA_FLOOR);
-    lens plain = {.sh_degree = 0};
 #pragma omp parallel for schedule(dynamic, 16) num_threads(threads) if (n > WORTH) reduction(| : bad)
     for (int64_t c = 0; c < clusters; c++) {
         int64_t first = c * CLUSTER, end = min64(n, first + CLUSTER);
@@ -80,7 +79,7 @@ int tsplat_pack(const tsplat_scene *scene, const int32_t *order, double alpha_th
             to[16 * 10] = scene->opacities[id];
             memcpy(to + 16 * 11, &id, sizeof id);
             if (colored) {
-                sh_color(scene, &plain, id, color);
+                plain_color(scene, id, color);
                 for (int k = 0; k < 3; k++) to[16 * (12 + k)] = color[k];
             }
         }

@@ -179,12 +179,15 @@ TARGET static int NAME(project_group)(const tsplat_scene *s, const lens *lens, i
                       g.u11, g.u12, g.u22, g.opacity, g.radius_x, g.radius_y};
     for (int k = 10; k < 16; k++) columns[k] = g.z;
     NAME(transpose)(columns, rows);
+    _Alignas(64) float color[3][LANES];
+    int32_t ids[LANES];
+    for (int l = 0; l < LANES; l++) ids[l] = (int32_t)(first + l);
+    NAME(colors)(s, lens, in, ids, seen, color);
     int kept = __builtin_popcount(seen);
     for (; seen; seen &= seen - 1, out += RECORD) {
         int l = __builtin_ctz(seen);
-        int32_t id = (int32_t)(first + l);
-        sh_color(s, lens, id, rows[l] + 11);
-        memcpy(rows[l] + 14, &id, sizeof id);
+        for (int c = 0; c < 3; c++) rows[l][11 + c] = color[c][l];
+        memcpy(rows[l] + 14, ids + l, sizeof *ids);
         memcpy(out, rows[l], sizeof rows[l]);
     }
     return kept;
@@ -232,6 +235,7 @@ TARGET static int NAME(project_chunk)(const tsplat_packed *packed, const tsplat_
         unsigned seen = NAME(project)(lens, in, lanes, &g, totals + 1);
         totals[0] += __builtin_popcount(seen);
         if (!seen) continue;
+        if (lens->sh_degree) fetch_sh(s, packed, first + i + LANES, LANES);
         /* the tiles with pixels whose centres its box holds */
         VF x = JOIN(g.mean_x[0], g.mean_x[1]), y = JOIN(g.mean_y[0], g.mean_y[1]);
         VF x0 = MAX(CEIL(SUB(SUB(x, g.radius_x), half)), zero);
@@ -251,14 +255,7 @@ TARGET static int NAME(project_chunk)(const tsplat_packed *packed, const tsplat_
         ISTORE(corner[2], IADD(below, u0)), ISTORE(corner[3], IADD(below, u1));
         VF ids = LOAD(in + 16 * 11);
         if (lens->sh_degree) {
-            for (unsigned left = seen; left; left &= left - 1) {
-                int l = __builtin_ctz(left);
-                int32_t id;
-                float rgb[3];
-                memcpy(&id, in + 16 * 11 + l, sizeof id);
-                sh_color(s, lens, id, rgb);
-                for (int c = 0; c < 3; c++) color[c][l] = rgb[c];
-            }
+            NAME(colors)(s, lens, in, (const int32_t *)(const void *)(in + 16 * 11), seen, color);
         } else {
             for (int c = 0; c < 3; c++) STORE(color[c], LOAD(in + 16 * (12 + c)));
         }

@@ -1,6 +1,6 @@
 /* Eight lanes: AVX2 and FMA. */
 #define NAME(f) f##_avx2
-#define TARGET __attribute__((target("avx2,fma,bmi,bmi2,lzcnt,popcnt")))
+#define TARGET __attribute__((target("avx2,fma,f16c,bmi,bmi2,lzcnt,popcnt")))
 #define LANES 8
 #define VF __m256
 #define VM __m256
@@ -40,6 +40,9 @@
 #define TRUNCATE(a) _mm256_cvttps_epi32(a)
 #define COUNT_LESS(n, a, b) _mm256_sub_epi32(n, _mm256_cmpgt_epi32(b, a)) /* n + 1 where a < b */
 
+#define EIGHT_HALVES(to, from) \
+    _mm256_storeu_ps(to, _mm256_cvtph_ps(_mm_loadu_si128((const __m128i *)(const void *)(from))))
+
 /* Half as many doubles. */
 #define VD __m256d
 #define DLOAD(p) _mm256_load_pd(p)
@@ -56,6 +59,7 @@
 #define DABS(a) _mm256_andnot_pd(_mm256_set1_pd(-0.0), a)
 #define DLT_BITS(a, b) ((unsigned)_mm256_movemask_pd(_mm256_cmp_pd(a, b, _CMP_LT_OQ)))
 #define DLE_BITS(a, b) ((unsigned)_mm256_movemask_pd(_mm256_cmp_pd(a, b, _CMP_LE_OQ)))
+#define DSQRT(a) _mm256_sqrt_pd(a)
 #define LOW(a) _mm256_cvtps_pd(_mm256_castps256_ps128(a))
 #define HIGH(a) _mm256_cvtps_pd(_mm256_extractf128_ps(a, 1))
 #define JOIN(a, b) _mm256_set_m128(_mm256_cvtpd_ps(b), _mm256_cvtpd_ps(a))
@@ -121,6 +125,7 @@ TARGET static inline uint32_t list_avx2(uint32_t *to, const uint16_t *hits, int 
 }
 
 #include "composite_template.h"
+#include "color_template.h"
 #include "project_template.h"
 #include "order_template.h"
 #include "vec_undef.h"

@@ -1,6 +1,6 @@
 /* Sixteen lanes: AVX-512 F, DQ, BW and VL. */
 #define NAME(f) f##_avx512
-#define TARGET __attribute__((target("avx512f,avx512dq,avx512bw,avx512vl,avx2,fma,bmi,bmi2,lzcnt,popcnt")))
+#define TARGET __attribute__((target("avx512f,avx512dq,avx512bw,avx512vl,avx2,fma,f16c,bmi,bmi2,lzcnt,popcnt")))
 #define LANES 16
 #define VF __m512
 #define VM __mmask16
@@ -40,6 +40,9 @@
 #define COUNT_LESS(n, a, b) /* n + 1 where a < b */ \
     _mm512_mask_sub_epi32(n, _mm512_cmplt_epi32_mask(a, b), n, _mm512_set1_epi32(-1))
 
+#define EIGHT_HALVES(to, from) \
+    _mm256_storeu_ps(to, _mm256_cvtph_ps(_mm_loadu_si128((const __m128i *)(const void *)(from))))
+
 /* Half as many doubles. */
 #define VD __m512d
 #define DLOAD(p) _mm512_load_pd(p)
@@ -56,6 +59,7 @@
 #define DABS(a) _mm512_abs_pd(a)
 #define DLT_BITS(a, b) ((unsigned)_mm512_cmp_pd_mask(a, b, _CMP_LT_OQ))
 #define DLE_BITS(a, b) ((unsigned)_mm512_cmp_pd_mask(a, b, _CMP_LE_OQ))
+#define DSQRT(a) _mm512_sqrt_pd(a)
 #define LOW(a) _mm512_cvtps_pd(_mm512_castps512_ps256(a))
 #define HIGH(a) _mm512_cvtps_pd(_mm512_extractf32x8_ps(a, 1))
 #define JOIN(a, b) _mm512_insertf32x8( \
@@ -142,6 +146,7 @@ TARGET static inline void stream_row_avx512(const tile *s, int y, float *rgb, fl
 #define STREAM_ROW(s, y, rgb, t) stream_row_avx512(s, y, rgb, t)
 
 #include "composite_template.h"
+#include "color_template.h"
 #include "project_template.h"
 #include "order_template.h"
 #include "vec_undef.h"

@@ -52,6 +52,9 @@ static inline unsigned bits4(vi4 m) {
 #define TRUNCATE(a) __builtin_convertvector(a, vi4)
 #define COUNT_LESS(n, a, b) ((n) - ((a) < (b))) /* n + 1 where a < b */
 
+#define EIGHT_HALVES(to, from) \
+    for (int i_ = 0; i_ < 8; i_++) (to)[i_] = half_to_float((from)[i_])
+
 /* Half as many doubles. */
 typedef double vd2 __attribute__((vector_size(16)));
 typedef int64_t vm2 __attribute__((vector_size(16)));
@@ -70,6 +73,7 @@ typedef int64_t vm2 __attribute__((vector_size(16)));
 #define DABS(a) ((vd2)((vm2)(a) & 0x7fffffffffffffff))
 #define DLT_BITS(a, b) dbits2((a) < (b))
 #define DLE_BITS(a, b) dbits2((a) <= (b))
+#define DSQRT(a) ((vd2){sqrt((a)[0]), sqrt((a)[1])})
 #define LOW(a) ((vd2){(a)[0], (a)[1]})
 #define HIGH(a) ((vd2){(a)[2], (a)[3]})
 #define JOIN(a, b) ((vf4){(float)(a)[0], (float)(a)[1], (float)(b)[0], (float)(b)[1]})
@@ -107,6 +111,7 @@ static inline uint32_t list_generic(uint32_t *to, const uint16_t *hits, int coun
 }
 
 #include "composite_template.h"
+#include "color_template.h"
 #include "project_template.h"
 #include "order_template.h"
 #include "vec_undef.h"

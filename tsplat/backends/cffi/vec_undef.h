@@ -59,3 +59,5 @@
 #undef IMUL
 #undef TRUNCATE
 #undef STREAM_ROW
+#undef DSQRT
+#undef EIGHT_HALVES

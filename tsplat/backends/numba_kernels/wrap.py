@@ -72,11 +72,12 @@ def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Works
     counts = workspace.array("numba.chunks", (chunks,), np.int32)
     view, threshold = _view(camera, scene), max(params.alpha_threshold, ALPHA_FLOOR)
     degree = min(params.sh_degree, scene.sh_degree)
+    sh = workspace.float32(scene.sh)
     runs = _runs(chunks, min(chunks, 4 * threads)) if chunks else []
     overflowed = spread(
         threads, len(runs),
         lambda i: geometry.project_chunks(
-            *runs[i], scene.means, scene.quats, scene.scales, scene.opacities, scene.sh, view,
+            *runs[i], scene.means, scene.quats, scene.scales, scene.opacities, sh, view,
             degree, params.antialias, threshold, scratch, scratch_ids, counts,
         ),
     )  # fmt: skip
