@@ -174,6 +174,7 @@ def composite(splats: Splats, bins: Bins, params: RenderParams, workspace: Works
     # Extents end at the floor where there is no threshold.
     threshold = max(params.alpha_threshold, ALPHA_FLOOR)
     records = workspace.array("numba.records", (m, pixels.RECORD), np.float32)
+    records64 = records.view(np.float64)
     rgb = workspace.array("numba.rgb", (height, width, 3), np.float32)
     transmittance = workspace.array("numba.transmittance", (height, width), np.float32)
     depth = workspace.array("numba.depth", (height, width), np.float32) if params.depth else None
@@ -182,16 +183,18 @@ def composite(splats: Splats, bins: Bins, params: RenderParams, workspace: Works
         threads, threads,
         lambda i: pixels.pack_splats(
             *rows[i], threshold, arrays["means2d"], arrays["factors"], arrays["depths"],
-            arrays["opacities"], arrays["colors"], records,
+            arrays["opacities"], arrays["colors"], records, records64,
         ),
     )  # fmt: skip
     patches = tiles * (-(-size // pixels.SIDE)) ** 2
     runs = _runs(patches, min(patches, 16 * threads))
+    space = workspace.array("numba.space", (len(runs), pixels.SPACE), np.float32)
+    entries = workspace.array("numba.entries", (len(runs), pixels.LIST), np.int32)
     good = spread(
         threads, len(runs),
         lambda i: pixels.composite_patches(
-            *runs[i], records, offsets, ids, size, width, height, threshold,
-            params.transmittance_min, params.depth, rgb, transmittance,
+            *runs[i], records, records64, offsets, ids, size, width, height, threshold,
+            params.transmittance_min, params.depth, space[i], entries[i], rgb, transmittance,
             transmittance if depth is None else depth,
         ),
     )  # fmt: skip

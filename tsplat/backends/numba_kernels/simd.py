@@ -1,0 +1,268 @@
+"""Vectors as values of compiled code: what C compilers offer as vector extensions.
+
+LLVM's own vectoriser stops at 256 bits, tests for aliasing before every loop, and says nothing
+when it gives up. Here a kernel names its vectors: ``load`` makes one, ``+ - * /``, comparisons,
+``min``, ``max`` and ``abs`` work lane by lane and take scalars, and LLVM cuts it into registers
+of whatever size the machine has. Only ``fma`` fuses, and only where the machine has it.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
+
+
+class Vector(types.Type):  # type: ignore[misc]
+    """``lanes`` numbers or booleans of type ``dtype``."""
+
+    def __init__(self, dtype: Any, lanes: int) -> None:
+        super().__init__(f"Vector({dtype}, {lanes})")
+        self.dtype, self.lanes = dtype, lanes
+
+    def of(self, dtype: Any) -> Vector:
+        """As many lanes of another type."""
+        return Vector(dtype, self.lanes)
+
+    @property
+    def llvm(self) -> ir.VectorType:
+        """The type in LLVM; booleans are one bit."""
+        names = {types.float32: ir.FloatType(), types.float64: ir.DoubleType()}
+        element = names.get(self.dtype) or ir.IntType(getattr(self.dtype, "bitwidth", 1))
+        return ir.VectorType(element, self.lanes)
+
+
+@register_model(Vector)
+class _VectorModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: Vector) -> None:
+        super().__init__(manager, kind, kind.llvm)
+
+
+@lower_cast(types.Number, Vector)  # type: ignore[untyped-decorator]
+def _broadcast(context: Any, builder: Any, source: Any, target: Vector, value: Any) -> Any:
+    """The same number in every lane."""
+    scalar = context.cast(builder, value, source, target.dtype)
+    one = builder.insert_element(ir.Constant(target.llvm, ir.Undefined), scalar, _int(0))
+    return builder.shuffle_vector(one, one, _lanes([0] * target.lanes))
+
+
+def _int(value: int) -> ir.Constant:
+    return ir.Constant(ir.IntType(32), value)
+
+
+def _lanes(numbers: list[int]) -> ir.Constant:
+    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), numbers)
+
+
+def _operator(function: Any, lower: Callable[[Any, Vector, Any, Any], Any], truth: bool) -> None:
+    """Teaches ``function`` to take two vectors, or a vector and a number."""
+
+    class Template(AbstractTemplate):  # type: ignore[misc]
+        def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
+            vector = next((a for a in args if isinstance(a, Vector)), None)
+            if vector is None or len(args) != 2:
+                return None
+            return signature(vector.of(types.boolean) if truth else vector, vector, vector)
+
+    infer_global(function)(Template)
+
+    def implementation(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return lower(builder, sig.args[0], *args)
+
+    lower_builtin(function, Vector, Vector)(implementation)
+
+
+def _arithmetic(name: str) -> Callable[[Any, Vector, Any, Any], Any]:
+    def lower(builder: Any, kind: Vector, a: Any, b: Any) -> Any:
+        prefix = "f" if isinstance(kind.dtype, types.Float) else ""
+        return getattr(builder, prefix + name)(a, b)
+
+    return lower
+
+
+def _comparison(sign: str) -> Callable[[Any, Vector, Any, Any], Any]:
+    return lambda builder, kind, a, b: builder.fcmp_ordered(sign, a, b)
+
+
+def _choice(sign: str) -> Callable[[Any, Vector, Any, Any], Any]:
+    """The first number if ``sign`` holds, else the second: also where one is NaN."""
+    return lambda builder, kind, a, b: builder.select(builder.fcmp_ordered(sign, a, b), a, b)
+
+
+for _function, _name in (
+    (operator.add, "add"), (operator.sub, "sub"), (operator.mul, "mul"), (operator.truediv, "div"),
+):  # fmt: skip
+    _operator(_function, _arithmetic(_name), truth=False)
+for _function, _name in (
+    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="),
+):  # fmt: skip
+    _operator(_function, _comparison(_name), truth=True)
+_operator(operator.and_, lambda builder, kind, a, b: builder.and_(a, b), truth=False)
+_operator(operator.lshift, lambda builder, kind, a, b: builder.shl(a, b), truth=False)
+_operator(min, _choice("<"), truth=False)
+_operator(max, _choice(">"), truth=False)
+
+
+def _pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any, to: Any) -> Any:
+    """Where flat element ``index`` of a C-contiguous array is, as a pointer to ``to``."""
+    data = context.make_array(kind)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), to.as_pointer())
+
+
+def _size(array: Any) -> int:
+    return int(array.dtype.bitwidth) // 8
+
+
+@intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
+def load(typing: Any, array: Any, index: Any, lanes: Any) -> Any:
+    """``lanes`` numbers of an array from flat ``index`` on."""
+    kind = Vector(array.dtype, lanes.literal_value)
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        pointer = _pointer(context, builder, array, args[0], args[1], kind.llvm)
+        return builder.load(pointer, align=_size(array))
+
+    return kind(array, types.intp, lanes), code
+
+
+@intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
+def column(typing: Any, array: Any, row: Any, number: Any, width: Any, lanes: Any) -> Any:
+    """Column ``number`` of ``lanes`` rows of an array [N, width], from ``row`` on."""
+    kind, step = Vector(array.dtype, lanes.literal_value), width.literal_value
+    whole = Vector(array.dtype, kind.lanes * step)
+    picked = [number.literal_value + step * lane for lane in range(kind.lanes)]
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        index = builder.mul(args[1], ir.Constant(args[1].type, step))
+        pointer = _pointer(context, builder, array, args[0], index, whole.llvm)
+        rows = builder.load(pointer, align=_size(array))
+        return builder.shuffle_vector(rows, rows, _lanes(picked))
+
+    return kind(array, types.intp, number, width, lanes), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def store(typing: Any, array: Any, index: Any, vector: Any) -> Any:
+    """Writes a vector to flat ``index`` of an array."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        pointer = _pointer(context, builder, array, args[0], args[1], vector.llvm)
+        builder.store(args[2], pointer, align=_size(array))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vector), code
+
+
+def _call(builder: Any, name: str, result: Any, args: Any) -> Any:
+    """Calls LLVM's intrinsic ``name``."""
+    kind = ir.FunctionType(result, [a.type for a in args])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), args)
+
+
+def _suffix(kind: Vector) -> str:
+    return f"v{kind.lanes}f{kind.dtype.bitwidth}"
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """``a * b + c``, rounded once if that is as fast, else twice."""
+    kind = next(k for k in (a, b, c) if isinstance(k, Vector))
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _call(builder, f"llvm.fmuladd.{_suffix(kind)}", kind.llvm, args)
+
+    return kind(kind, kind, kind), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def sqrt(typing: Any, a: Any) -> Any:
+    """Square roots, rounded correctly."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _call(builder, f"llvm.sqrt.{_suffix(a)}", a.llvm, args)
+
+    return a(a), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def magnitude(typing: Any, a: Any) -> Any:
+    """Absolute values."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _call(builder, f"llvm.fabs.{_suffix(a)}", a.llvm, args)
+
+    return a(a), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def select(typing: Any, mask: Any, a: Any, b: Any) -> Any:
+    """``a`` where the mask is set, else ``b``."""
+    kind = next(k for k in (a, b) if isinstance(k, Vector))
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.select(*args)
+
+    return kind(mask, kind, kind), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def bits(typing: Any, mask: Any) -> Any:
+    """A mask as an int64, lane 0 lowest."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        number = builder.bitcast(args[0], ir.IntType(mask.lanes))
+        return builder.zext(number, ir.IntType(64))
+
+    return types.int64(mask), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def view(typing: Any, vector: Any, dtype: Any) -> Any:
+    """The same bits as another type of the same size."""
+    kind = vector.of(dtype.dtype)
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], kind.llvm)
+
+    return kind(vector, dtype), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def convert(typing: Any, vector: Any, dtype: Any) -> Any:
+    """float32 from float64 or the other way round."""
+    kind = vector.of(dtype.dtype)
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        widen = kind.dtype.bitwidth > vector.dtype.bitwidth
+        return (builder.fpext if widen else builder.fptrunc)(args[0], kind.llvm)
+
+    return kind(vector, dtype), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def popcount(typing: Any, number: Any) -> Any:
+    """How many bits are set."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.ctpop(args[0])
+
+    return types.int64(types.int64), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def prefetch(typing: Any, array: Any, index: Any) -> Any:
+    """Asks for the cache line of flat ``index``; a wrong index does no harm."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        pointer = _pointer(context, builder, array, args[0], args[1], ir.IntType(8))
+        _call(
+            builder, "llvm.prefetch.p0", ir.VoidType(), [pointer, _int(0), _int(3), _int(1)]
+        )
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), code
