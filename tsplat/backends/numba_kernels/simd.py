@@ -59,22 +59,29 @@ def _lanes(numbers: list[int]) -> ir.Constant:
     return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), numbers)
 
 
-def _operator(function: Any, lower: Callable[[Any, Vector, Any, Any], Any], truth: bool) -> None:
-    """Teaches ``function`` to take two vectors, or a vector and a number."""
+def _call(builder: Any, name: str, kind: Vector, args: Any) -> Any:
+    """Calls LLVM's intrinsic ``name`` on vectors of floats."""
+    name = f"llvm.{name}.v{kind.lanes}f{kind.dtype.bitwidth}"
+    declared = ir.FunctionType(kind.llvm, [kind.llvm] * len(args))
+    return builder.call(cgutils.get_or_insert_function(builder.module, declared, name), args)
+
+
+def _operator(function: Any, lower: Callable[..., Any], truth: bool = False, of: int = 2) -> None:
+    """Teaches ``function`` to take ``of`` vectors, or vectors and numbers."""
 
     class Template(AbstractTemplate):  # type: ignore[misc]
         def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
             vector = next((a for a in args if isinstance(a, Vector)), None)
-            if vector is None or len(args) != 2:
+            if vector is None or len(args) != of:
                 return None
-            return signature(vector.of(types.boolean) if truth else vector, vector, vector)
+            return signature(vector.of(types.boolean) if truth else vector, *[vector] * of)
 
     infer_global(function)(Template)
 
     def implementation(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return lower(builder, sig.args[0], *args)
 
-    lower_builtin(function, Vector, Vector)(implementation)
+    lower_builtin(function, *[Vector] * of)(implementation)
 
 
 def _arithmetic(name: str) -> Callable[[Any, Vector, Any, Any], Any]:
@@ -97,15 +104,17 @@ def _choice(sign: str) -> Callable[[Any, Vector, Any, Any], Any]:
 for _function, _name in (
     (operator.add, "add"), (operator.sub, "sub"), (operator.mul, "mul"), (operator.truediv, "div"),
 ):  # fmt: skip
-    _operator(_function, _arithmetic(_name), truth=False)
+    _operator(_function, _arithmetic(_name))
 for _function, _name in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="),
 ):  # fmt: skip
     _operator(_function, _comparison(_name), truth=True)
-_operator(operator.and_, lambda builder, kind, a, b: builder.and_(a, b), truth=False)
-_operator(operator.lshift, lambda builder, kind, a, b: builder.shl(a, b), truth=False)
-_operator(min, _choice("<"), truth=False)
-_operator(max, _choice(">"), truth=False)
+_operator(operator.and_, lambda builder, kind, a, b: builder.and_(a, b))
+_operator(operator.lshift, lambda builder, kind, a, b: builder.shl(a, b))
+_operator(min, _choice("<"))
+_operator(max, _choice(">"))
+_operator(operator.neg, lambda builder, kind, a: builder.fneg(a), of=1)
+_operator(abs, lambda builder, kind, a: _call(builder, "fabs", kind, [a]), of=1)
 
 
 def _pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any, to: Any) -> Any:
@@ -128,6 +137,17 @@ def load(typing: Any, array: Any, index: Any, lanes: Any) -> Any:
         return builder.load(pointer, align=_size(array))
 
     return kind(array, types.intp, lanes), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def item(typing: Any, array: Any, index: Any) -> Any:
+    """Flat element ``index``, which is never negative: without Python's test for that."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(array)(context, builder, args[0]).data
+        return builder.load(builder.gep(data, [args[1]]))
+
+    return array.dtype(array, types.intp), code
 
 
 @intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
@@ -158,23 +178,13 @@ def store(typing: Any, array: Any, index: Any, vector: Any) -> Any:
     return types.void(array, types.intp, vector), code
 
 
-def _call(builder: Any, name: str, result: Any, args: Any) -> Any:
-    """Calls LLVM's intrinsic ``name``."""
-    kind = ir.FunctionType(result, [a.type for a in args])
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), args)
-
-
-def _suffix(kind: Vector) -> str:
-    return f"v{kind.lanes}f{kind.dtype.bitwidth}"
-
-
 @intrinsic  # type: ignore[untyped-decorator]
 def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """``a * b + c``, rounded once if that is as fast, else twice."""
     kind = next(k for k in (a, b, c) if isinstance(k, Vector))
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _call(builder, f"llvm.fmuladd.{_suffix(kind)}", kind.llvm, args)
+        return _call(builder, "fmuladd", kind, args)
 
     return kind(kind, kind, kind), code
 
@@ -184,17 +194,7 @@ def sqrt(typing: Any, a: Any) -> Any:
     """Square roots, rounded correctly."""
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _call(builder, f"llvm.sqrt.{_suffix(a)}", a.llvm, args)
-
-    return a(a), code
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def magnitude(typing: Any, a: Any) -> Any:
-    """Absolute values."""
-
-    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _call(builder, f"llvm.fabs.{_suffix(a)}", a.llvm, args)
+        return _call(builder, "sqrt", a, args)
 
     return a(a), code
 
@@ -260,9 +260,10 @@ def prefetch(typing: Any, array: Any, index: Any) -> Any:
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = _pointer(context, builder, array, args[0], args[1], ir.IntType(8))
-        _call(
-            builder, "llvm.prefetch.p0", ir.VoidType(), [pointer, _int(0), _int(3), _int(1)]
-        )
+        to_read = [pointer, _int(0), _int(3), _int(1)]
+        declared = ir.FunctionType(ir.VoidType(), [a.type for a in to_read])
+        name = "llvm.prefetch.p0"
+        builder.call(cgutils.get_or_insert_function(builder.module, declared, name), to_read)
         return context.get_dummy_value()
 
     return types.void(array, types.intp), code

@@ -182,7 +182,7 @@ def composite(splats: Splats, bins: Bins, params: RenderParams, workspace: Works
     spread(
         threads, threads,
         lambda i: pixels.pack_splats(
-            *rows[i], threshold, arrays["means2d"], arrays["factors"], arrays["depths"],
+            *rows[i], arrays["means2d"], arrays["factors"], arrays["depths"],
             arrays["opacities"], arrays["colors"], records, records64,
         ),
     )  # fmt: skip
