@@ -111,6 +111,7 @@ for _function, _name in (
     _operator(_function, _comparison(_name), truth=True)
 _operator(operator.and_, lambda builder, kind, a, b: builder.and_(a, b))
 _operator(operator.lshift, lambda builder, kind, a, b: builder.shl(a, b))
+_operator(operator.rshift, lambda builder, kind, a, b: builder.ashr(a, b))
 _operator(min, _choice("<"))
 _operator(max, _choice(">"))
 _operator(operator.neg, lambda builder, kind, a: builder.fneg(a), of=1)
@@ -148,6 +149,18 @@ def item(typing: Any, array: Any, index: Any) -> Any:
         return builder.load(builder.gep(data, [args[1]]))
 
     return array.dtype(array, types.intp), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def put(typing: Any, array: Any, index: Any, value: Any) -> Any:
+    """Writes flat element ``index``, which is never negative."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(array)(context, builder, args[0]).data
+        builder.store(args[2], builder.gep(data, [args[1]]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, array.dtype), code
 
 
 @intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
@@ -234,10 +247,12 @@ def view(typing: Any, vector: Any, dtype: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def convert(typing: Any, vector: Any, dtype: Any) -> Any:
-    """float32 from float64 or the other way round."""
+    """The same numbers as floats of another type."""
     kind = vector.of(dtype.dtype)
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        if isinstance(vector.dtype, types.Integer):
+            return builder.sitofp(args[0], kind.llvm)
         widen = kind.dtype.bitwidth > vector.dtype.bitwidth
         return (builder.fpext if widen else builder.fptrunc)(args[0], kind.llvm)
 

@@ -50,6 +50,11 @@ def _runs(count: int, pieces: int) -> list[tuple[int, int]]:
     return list(pairwise(count * i // pieces for i in range(pieces + 1)))
 
 
+def _pieces(threads: int) -> int:
+    """Into how many runs to cut work that may be lopsided."""
+    return 1 if threads == 1 else 4 * threads
+
+
 def _view(camera: Camera, scene: Scene) -> F64:
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
     width, height = camera.width, camera.height
@@ -65,34 +70,36 @@ def _view(camera: Camera, scene: Scene) -> F64:
 
 def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Workspace) -> Splats:
     """See :class:`tsplat.core.stages.Project`."""
-    n, threads = len(scene), workspace.threads
-    chunks = -(-n // geometry.CHUNK)
-    scratch = workspace.array("numba.project", (n, geometry.RECORD), np.float32)
-    scratch_ids = scratch.view(np.int32)
-    counts = workspace.array("numba.chunks", (chunks,), np.int32)
+    n, lanes = len(scene), geometry.LANES
+    threads = workspace.threads if n > _FEW else 1
+    gaussians: list[Any] = [scene.means, scene.quats, scene.scales, scene.opacities, scene.sh]
+    if n < lanes:  # too few for a vector: rows of zeros that nobody looks at
+        gaussians = [np.concatenate([a, np.zeros((lanes, *a.shape[1:]), a.dtype)]) for a in gaussians]
     view, threshold = _view(camera, scene), max(params.alpha_threshold, ALPHA_FLOOR)
     degree = min(params.sh_degree, scene.sh_degree)
-    runs = _runs(chunks, min(chunks, 4 * threads)) if chunks else []
-    overflowed = spread(
-        threads, len(runs),
-        lambda i: geometry.project_chunks(
-            *runs[i], scene.means, scene.quats, scene.scales, scene.opacities, scene.sh, view,
-            degree, params.antialias, threshold, scratch, scratch_ids, counts,
-        ),
-    )  # fmt: skip
-    ends = np.cumsum(counts, dtype=np.int64)
-    starts, m = ends - counts, int(ends[-1]) if chunks else 0
     arrays = {
-        name: workspace.array(f"numba.{name}", (m, *shape), dtype)
+        name: workspace.array(f"numba.{name}", (n, *shape), dtype)
         for name, shape, dtype in _SPLAT_ARRAYS
     }
-    spread(
+    runs = [(lanes * i, min(lanes * j, n)) for i, j in _runs(-(-n // lanes), _pieces(threads))]
+    space = workspace.array("numba.project", (len(runs), geometry.SPACE), np.float32)
+    space64 = workspace.array("numba.project64", (len(runs), 2 * lanes), np.float64)
+    counts = spread(
         threads, len(runs),
-        lambda i: geometry.gather_chunks(
-            *runs[i], scratch, scratch_ids, counts, starts, *arrays.values()
+        lambda i: geometry.project_rows(
+            *runs[i], *gaussians, view, degree, params.antialias, threshold, space[i], space64[i],
+            *arrays.values(),
         ),
     )  # fmt: skip
-    return Splats(**arrays, width=camera.width, height=camera.height, overflowed=sum(overflowed))
+    m = 0
+    for (first, _), (visible, _) in zip(runs, counts, strict=True):
+        if m < first:  # closes the gap that Gaussians out of sight leave
+            for array in arrays.values():
+                array[m : m + visible] = array[first : first + visible]
+        m += visible
+    splats = {name: array[:m] for name, array in arrays.items()}
+    overflowed = sum(overflowed for _, overflowed in counts)
+    return Splats(**splats, width=camera.width, height=camera.height, overflowed=overflowed)
 
 
 def _place_digit(
