@@ -6,6 +6,7 @@ Roots and quotients are float32, taken of sums that hold no cancellation.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,6 @@ from tsplat.backends.numba_kernels.simd import (
     popcount,
     put,
     select,
-    sqrt,
     store,
     view,
 )
@@ -162,13 +162,13 @@ def _project_group(
     var_x, var_y = xx + EPS2D, yy + EPS2D
     det = det_sharp + fma(xx + yy, EPS2D, (xx - xx) + EPS2D * EPS2D)
 
-    width_x, width_y = sqrt(convert(var_x, np.float32)), sqrt(convert(var_y, np.float32))
-    root = sqrt(convert(det, np.float32))
+    width_x, width_y = math.sqrt(convert(var_x, np.float32)), math.sqrt(convert(var_y, np.float32))
+    root = math.sqrt(convert(det, np.float32))
     if antialias:
-        opacity = opacity * (sqrt(convert(det_sharp, np.float32)) / root)
+        opacity = opacity * (math.sqrt(convert(det_sharp, np.float32)) / root)
     least = np.float32(threshold)
     # alpha reaches the threshold where sigma <= ln(opacity / threshold).
-    reach = sqrt(log2(max(opacity / least, ONE)) * TWO_LN_2)
+    reach = math.sqrt(log2(max(opacity / least, ONE)) * TWO_LN_2)
     radius_x = fma(reach * width_x, SLACK, MARGIN)
     radius_y = fma(reach * width_y, SLACK, MARGIN)
     x, y = convert(mean_x, np.float32), convert(mean_y, np.float32)
@@ -189,7 +189,7 @@ def _project_group(
     store(space, RADIUS_X, radius_x)
     store(space, RADIUS_Y, radius_y)
     if degree > 0:
-        inverse = 1.0 / sqrt(fma(dx, dx, fma(dy, dy, dz * dz)))
+        inverse = 1.0 / math.sqrt(fma(dx, dx, fma(dy, dy, dz * dz)))
         _store_basis(
             degree, convert(dx * inverse, np.float32), convert(dy * inverse, np.float32),
             convert(dz * inverse, np.float32), space,

@@ -2,12 +2,13 @@
 
 LLVM's own vectoriser stops at 256 bits, tests for aliasing before every loop, and says nothing
 when it gives up. Here a kernel names its vectors: ``load`` makes one, ``+ - * /``, comparisons,
-``min``, ``max`` and ``abs`` work lane by lane and take scalars, and LLVM cuts it into registers
+``min``, ``max``, ``abs`` and ``math.sqrt`` work lane by lane and take scalars, and LLVM cuts it into registers
 of whatever size the machine has. Only ``fma`` fuses, and only where the machine has it.
 """
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -96,6 +97,10 @@ def _comparison(sign: str) -> Callable[[Any, Vector, Any, Any], Any]:
     return lambda builder, kind, a, b: builder.fcmp_ordered(sign, a, b)
 
 
+def _by_name(name: str) -> Callable[[Any, Vector, Any], Any]:
+    return lambda builder, kind, a: _call(builder, name, kind, [a])
+
+
 def _choice(sign: str) -> Callable[[Any, Vector, Any, Any], Any]:
     """The first number if ``sign`` holds, else the second: also where one is NaN."""
     return lambda builder, kind, a, b: builder.select(builder.fcmp_ordered(sign, a, b), a, b)
@@ -115,7 +120,10 @@ _operator(operator.rshift, lambda builder, kind, a, b: builder.ashr(a, b))
 _operator(min, _choice("<"))
 _operator(max, _choice(">"))
 _operator(operator.neg, lambda builder, kind, a: builder.fneg(a), of=1)
-_operator(abs, lambda builder, kind, a: _call(builder, "fabs", kind, [a]), of=1)
+for _function, _name in (
+    (abs, "fabs"), (math.sqrt, "sqrt"), (math.ceil, "ceil"), (math.floor, "floor"),
+):  # fmt: skip
+    _operator(_function, _by_name(_name), of=1)
 
 
 def _pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any, to: Any) -> Any:
@@ -202,15 +210,6 @@ def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     return kind(kind, kind, kind), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def sqrt(typing: Any, a: Any) -> Any:
-    """Square roots, rounded correctly."""
-
-    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _call(builder, "sqrt", a, args)
-
-    return a(a), code
-
 
 @intrinsic  # type: ignore[untyped-decorator]
 def select(typing: Any, mask: Any, a: Any, b: Any) -> Any:
@@ -247,12 +246,14 @@ def view(typing: Any, vector: Any, dtype: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def convert(typing: Any, vector: Any, dtype: Any) -> Any:
-    """The same numbers as floats of another type."""
+    """The same numbers in another type; integers from floats lose their fraction."""
     kind = vector.of(dtype.dtype)
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         if isinstance(vector.dtype, types.Integer):
             return builder.sitofp(args[0], kind.llvm)
+        if isinstance(kind.dtype, types.Integer):
+            return builder.fptosi(args[0], kind.llvm)
         widen = kind.dtype.bitwidth > vector.dtype.bitwidth
         return (builder.fpext if widen else builder.fptrunc)(args[0], kind.llvm)
 

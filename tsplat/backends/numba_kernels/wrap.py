@@ -50,6 +50,13 @@ def _runs(count: int, pieces: int) -> list[tuple[int, int]]:
     return list(pairwise(count * i // pieces for i in range(pieces + 1)))
 
 
+def _at_least(rows: int, array: Any) -> Any:
+    """``array``, or if it is too short for a vector, a copy with rows that nobody looks at."""
+    if len(array) >= rows:
+        return array
+    return np.concatenate([array, np.zeros((rows, *array.shape[1:]), array.dtype)])
+
+
 def _pieces(threads: int) -> int:
     """Into how many runs to cut work that may be lopsided."""
     return 1 if threads == 1 else 4 * threads
@@ -73,8 +80,7 @@ def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Works
     n, lanes = len(scene), geometry.LANES
     threads = workspace.threads if n > _FEW else 1
     gaussians: list[Any] = [scene.means, scene.quats, scene.scales, scene.opacities, scene.sh]
-    if n < lanes:  # too few for a vector: rows of zeros that nobody looks at
-        gaussians = [np.concatenate([a, np.zeros((lanes, *a.shape[1:]), a.dtype)]) for a in gaussians]
+    gaussians = [_at_least(lanes, array) for array in gaussians]
     view, threshold = _view(camera, scene), max(params.alpha_threshold, ALPHA_FLOOR)
     degree = min(params.sh_degree, scene.sh_degree)
     arrays = {
@@ -102,23 +108,6 @@ def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Works
     return Splats(**splats, width=camera.width, height=camera.height, overflowed=overflowed)
 
 
-def _place_digit(
-    shift: int, pairs: NDArray[np.uint64], out: NDArray[np.uint64], runs: list[tuple[int, int]],
-    histograms: I64,
-) -> bool:  # fmt: skip
-    """Sorts ``pairs`` by one digit into ``out``; False if all have the same, and nothing moved."""
-    threads = len(runs)
-    spread(
-        threads, threads, lambda i: lists.count_digits(*runs[i], pairs, shift, histograms[i])
-    )  # fmt: skip
-    if lists.first_places(histograms) == len(pairs):
-        return False
-    spread(
-        threads, threads, lambda i: lists.place_pairs(*runs[i], pairs, shift, histograms[i], out)
-    )  # fmt: skip
-    return True
-
-
 def sort(splats: Splats, workspace: Workspace) -> I32:
     """See :class:`tsplat.core.stages.Sort`."""
     m = len(splats)
@@ -127,39 +116,64 @@ def sort(splats: Splats, workspace: Workspace) -> I32:
     runs = _runs(m, threads)
     order: I32 = workspace.array("numba.order", (m,), np.int32)
     pairs, spare = workspace.array("numba.pairs", (2, m), np.uint64)
-    histograms: I64 = workspace.array("numba.histograms", (threads, lists.RADIX), np.int64)
-    spread(threads, threads, lambda i: lists.make_pairs(*runs[i], bits, pairs))
-    for shift in lists.SHIFTS:
-        if _place_digit(shift, pairs, spare, runs, histograms):
-            pairs, spare = spare, pairs
-    spread(threads, threads, lambda i: lists.take_rows(*runs[i], pairs, order))
+    least, most = (int(bits.min()), int(bits.max())) if m else (0, 0)
+    length = max((most - least).bit_length(), 1)
+    digits = -(-length // lists.DIGIT_BITS)
+    digit_bits = -(-length // digits)
+    histograms: I64 = workspace.array("numba.histograms", (threads, 1 << digit_bits), np.int64)
+    spread(threads, threads, lambda i: lists.make_pairs(*runs[i], bits, least, pairs))
+    for digit in range(digits):
+        _place_digit(
+            lists.KEY + digit * digit_bits, pairs, order if digit == digits - 1 else spare, runs,
+            histograms,
+        )  # fmt: skip
+        pairs, spare = spare, pairs
     return order
+
+
+def _place_digit(
+    shift: int, pairs: NDArray[np.uint64], out: NDArray[Any], runs: list[tuple[int, int]],
+    histograms: I64,
+) -> None:  # fmt: skip
+    """Sorts ``pairs`` by one digit into ``out``."""
+    threads = len(runs)
+    spread(
+        threads, threads, lambda i: lists.count_digits(*runs[i], pairs, shift, histograms[i])
+    )  # fmt: skip
+    lists.first_places(histograms)
+    spread(
+        threads, threads, lambda i: lists.place_pairs(*runs[i], pairs, shift, histograms[i], out)
+    )  # fmt: skip
 
 
 def bin(splats: Splats, order: I32, workspace: Workspace) -> Bins:
     """See :class:`tsplat.core.stages.Bin`."""
     arrays = _arrays(splats)
-    m, size = len(splats), lists.TILE
+    m, size, lanes = len(splats), lists.TILE, lists.LANES
     check_array("order", order, np.int32, (m,))
     threads = workspace.threads if m > _FEW else 1
     runs, width, height = _runs(m, threads), splats.width, splats.height
     across, down = -(-width // size), -(-height // size)
-    boxes = workspace.array("numba.boxes", (m, 4), np.int32)
-    slots = workspace.array("numba.slots", (threads, across * down), np.int64)
+    if max(across, down) > lists.TILES_MAX:
+        raise KernelError(f"bin: expected at most {lists.TILES_MAX * size} px, got {width}x{height}")
+    boxes = workspace.array("numba.boxes", (max(m, lanes),), np.int64)
+    ordered = workspace.array("numba.ordered", (m,), np.int64)
+    slots = workspace.array("numba.slots", (threads, down + 1, across + 1), np.int64)
     offsets = workspace.array("numba.offsets", (across * down + 1,), np.int64)
+    means2d, radii = _at_least(lanes, arrays["means2d"]), _at_least(lanes, arrays["radii"])
+    spread(
+        threads, threads, lambda i: lists.box_tiles(*runs[i], means2d, radii, width, height, boxes)
+    )  # fmt: skip
     good = spread(
         threads, threads,
-        lambda i: lists.count_tiles(
-            *runs[i], order, arrays["means2d"], arrays["radii"], width, height, boxes, slots[i]
-        ),
+        lambda i: lists.count_tiles(*runs[i], order, boxes, across, down, ordered, slots[i]),
     )  # fmt: skip
     if not all(good):
         raise KernelError("bin: order points outside the splats")
     lists.first_slots(slots, offsets)
     ids: I32 = workspace.array("numba.ids", (int(offsets[-1]),), np.int32)
     spread(
-        threads, threads,
-        lambda i: lists.fill_tiles(*runs[i], order, boxes, across, slots[i], ids),
+        threads, threads, lambda i: lists.fill_tiles(*runs[i], order, ordered, slots[i], ids)
     )  # fmt: skip
     return Bins(offsets, ids, size)
 
