@@ -17,10 +17,13 @@ from tsplat.backends.numba_kernels.simd import (
     bits,
     convert,
     fma,
+    interleave,
     item,
     load,
+    log2,
     popcount,
     prefetch,
+    put,
     select,
     store,
     view,
@@ -34,16 +37,20 @@ LANES = BLOCK * BLOCK
 BLOCKS = 16  # of a patch
 BATCH = 32  # splats between two looks for blocks that are closed
 
-# A splat as patches read it, one cache line: its mean as two float64s, then these floats.
+# A splat as patches read it, one cache line: its mean and the first row of its factor as float64,
+# because far from a needle's middle their products cancel; then floats.
 RECORD = 16
-U11, U12, U22, LEVEL, RED, GREEN, BLUE, DEPTH = range(4, 12)
+MEAN_X, MEAN_Y, WIDE_X, WIDE_Y = range(4)  # in float64s
+STEP_X, STEP_Y, STEP_V, LEVEL, RED, GREEN, BLUE, DEPTH = range(8, 16)
+FLOATS = 8  # from STEP_X on
 # Pixels of a block: vectors of transmittance and sums.
 T, R, G, B, Z, PIXELS = (LANES * i for i in range(6))
-# A splat on a patch: w and v, the Cholesky products, as a sum of what the lane and what the block
-# adds; then floats.
-LANE_W, LANE_V, BLOCK_W, BLOCK_V, PLACED_LEVEL = (LANES * i for i in range(5))
-PLACED_RED, PLACED_GREEN, PLACED_BLUE, PLACED_DEPTH = range(PLACED_LEVEL + 1, PLACED_LEVEL + 5)
-PLACED = 5 * LANES
+# A splat on a patch: the Cholesky products w and v at the middle of each block, what the lane adds
+# to w, and the record's floats.
+BLOCK_W, BLOCK_V, LANE_W, PLACED_FLOATS, PLACED = (LANES * i for i in range(5))
+PLACED_V, PLACED_LEVEL, PLACED_RED, PLACED_GREEN, PLACED_BLUE, PLACED_DEPTH = range(
+    PLACED_FLOATS + STEP_V - STEP_X, PLACED_FLOATS + FLOATS
+)
 # What a thread needs besides the picture, in floats and in ints.
 SPACE = BLOCKS * PIXELS + BATCH * PLACED
 LIST = BATCH * BLOCKS + 16
@@ -72,21 +79,26 @@ E0, E1, E2, E3, E4, E5, E6 = (np.float32(c) for c in EXP2_POLY)
 
 @kernel
 def pack_splats(
-    first: int, last: int, means2d: F64, factors: F32, depths: F32,
-    opacities: F32, colors: F32, records: F32, records64: F64,
+    first: int, last: int, means2d: F64, factors: F32, depths: F32, opacities: F32, colors: F32,
+    records: F32, records64: F64,
 ) -> None:  # fmt: skip
-    """Rows ``first`` to ``last`` as records [M, RECORD], which are also records64 [M, 8]."""
-    for k in range(first, last):
-        records64[k, 0] = means2d[k, 0]
-        records64[k, 1] = means2d[k, 1]
-        records[k, U11] = factors[k, 0]
-        records[k, U12] = factors[k, 1]
-        records[k, U22] = factors[k, 2]
-        records[k, LEVEL] = math.log2(np.float64(opacities[k]))
-        records[k, RED] = colors[k, 0]
-        records[k, GREEN] = colors[k, 1]
-        records[k, BLUE] = colors[k, 2]
-        records[k, DEPTH] = depths[k]
+    """Rows ``first`` to ``last`` as records [M, RECORD], which are also records64 [M, 8].
+
+    There are at least LANES opacities.
+    """
+    levels = np.empty(LANES, np.float32)
+    for start in range(first, last, LANES):
+        row = min(start, len(opacities) - LANES)  # the last group overlaps the one before it
+        store(levels, 0, log2(load(opacities, row, LANES)))
+        for k in range(start, min(start + LANES, last)):
+            wide_x, wide_y = UNIT * np.float64(factors[k, 0]), UNIT * np.float64(factors[k, 1])
+            records64[k, MEAN_X], records64[k, MEAN_Y] = means2d[k, 0], means2d[k, 1]
+            records64[k, WIDE_X], records64[k, WIDE_Y] = wide_x, wide_y
+            records[k, STEP_X], records[k, STEP_Y] = wide_x, wide_y
+            records[k, STEP_V] = UNIT * np.float64(factors[k, 2])
+            records[k, LEVEL] = levels[k - row]
+            records[k, RED], records[k, GREEN] = colors[k, 0], colors[k, 1]
+            records[k, BLUE], records[k, DEPTH] = colors[k, 2], depths[k]
 
 
 @kernel
@@ -99,28 +111,24 @@ def _place(
     Over the pixels of a block w and v stay within an interval, as long as the block's shape says;
     the splat does not reach it where the ends next to 0 lie outside its ellipse.
     """
-    # In float64, because far from a needle's middle terms cancel; from here on steps are small.
-    dx, dy = middle_x - item(records64, k * 8), middle_y - item(records64, k * 8 + 1)
-    record = k * RECORD
-    wide_x = UNIT * np.float64(item(records, record + U11))
-    wide_y = UNIT * np.float64(item(records, record + U12))
-    wide_v = UNIT * np.float64(item(records, record + U22))
-    u11, u12, u22 = np.float32(wide_x), np.float32(wide_y), np.float32(wide_v)
-    lane_x, lane_y = load(LANE_X, 0, LANES), load(LANE_Y, 0, LANES)
+    wide, floats = k * (RECORD // 2), k * RECORD
+    dx = middle_x - item(records64, wide + MEAN_X)
+    dy = middle_y - item(records64, wide + MEAN_Y)
+    middle_w = np.float32(
+        item(records64, wide + WIDE_X) * dx + item(records64, wide + WIDE_Y) * dy
+    )
+    step_x, step_y = item(records, floats + STEP_X), item(records, floats + STEP_Y)
+    step_v = item(records, floats + STEP_V)
     block_x, block_y = load(BLOCK_X, 0, BLOCKS), load(BLOCK_Y, 0, BLOCKS)
-    w = fma(block_x, u11, fma(block_y, u12, np.float32(wide_x * dx + wide_y * dy)))
-    v = fma(block_y, u22, np.float32(wide_v * dy))
-    level = item(records, record + LEVEL)
-    store(space, at + LANE_W, fma(lane_x, u11, lane_y * u12))
-    store(space, at + LANE_V, lane_y * u22)
+    w = fma(block_x, step_x, fma(block_y, step_y, middle_w))
+    v = fma(block_y, step_v, step_v * np.float32(dy))
     store(space, at + BLOCK_W, w)
     store(space, at + BLOCK_V, v)
-    space[at + PLACED_LEVEL] = level
-    for f in range(4):
-        space[at + PLACED_RED + f] = item(records, record + RED + f)
-    near_w = max(abs(w) - EDGE * (u11 + abs(u12)), ZERO)
-    near_v = max(abs(v) - EDGE * u22, ZERO)
-    reach = level - floor
+    store(space, at + LANE_W, fma(load(LANE_X, 0, LANES), step_x, load(LANE_Y, 0, LANES) * step_y))
+    store(space, at + PLACED_FLOATS, load(records, floats + STEP_X, FLOATS))
+    near_w = max(abs(w) - EDGE * (step_x + abs(step_y)), ZERO)
+    near_v = max(abs(v) - EDGE * step_v, ZERO)
+    reach = item(records, floats + LEVEL) - floor
     return bits(fma(near_w, near_w, near_v * near_v) <= reach + REACH_SLACK * (reach + ONE))
 
 
@@ -128,7 +136,7 @@ def _place(
 def _draw(space: F32, at: int, block: int, floor: Any, stop: Any, want_depth: bool) -> None:
     """Draws a placed splat on a block: level - w^2 - v^2 is the binary logarithm of its alpha."""
     w = load(space, at + LANE_W, LANES) + item(space, at + BLOCK_W + block)
-    v = load(space, at + LANE_V, LANES) + item(space, at + BLOCK_V + block)
+    v = fma(load(LANE_Y, 0, LANES), item(space, at + PLACED_V), item(space, at + BLOCK_V + block))
     x = fma(-v, v, fma(-w, w, item(space, at + PLACED_LEVEL)))
     reached = x >= floor
     # alpha = 2^x = 2^n 2^f; n, the last bits of shifted, goes to the exponent. The polynomial
@@ -180,6 +188,34 @@ def _open_blocks(space: F32) -> int:
         some = bits(load(space, block * PIXELS + T, LANES) > ZERO) != 0
         mask |= np.int64(some) << block
     return mask
+
+
+@kernel
+def _write_patch(
+    space: F32, x0: int, y0: int, columns: int, rows: int, want_depth: bool, rgb: F32,
+    transmittance: F32, depth: F32,
+) -> None:  # fmt: skip
+    """Pixels to the picture, four in a row at a time."""
+    width = rgb.shape[1]
+    for y in range(rows):
+        for x in range(0, columns, BLOCK):
+            pixel = (y // BLOCK * BLOCK + x // BLOCK) * PIXELS + y % BLOCK * BLOCK
+            to = (y0 + y) * width + x0 + x
+            if x + BLOCK <= columns:
+                red, green = load(space, pixel + R, BLOCK), load(space, pixel + G, BLOCK)
+                blue = load(space, pixel + B, BLOCK)
+                store(rgb, 3 * to, interleave(red, green, blue))
+                store(transmittance, to, abs(load(space, pixel + T, BLOCK)))
+                if want_depth:
+                    store(depth, to, load(space, pixel + Z, BLOCK))
+                continue
+            for i in range(columns - x):
+                put(rgb, 3 * (to + i), item(space, pixel + R + i))
+                put(rgb, 3 * (to + i) + 1, item(space, pixel + G + i))
+                put(rgb, 3 * (to + i) + 2, item(space, pixel + B + i))
+                put(transmittance, to + i, abs(item(space, pixel + T + i)))
+                if want_depth:
+                    put(depth, to + i, item(space, pixel + Z + i))
 
 
 @kernel
@@ -236,13 +272,5 @@ def composite_patches(
             for i in range(listed):
                 entry = np.int64(item(entries, i))
                 _draw(space, entry >> 4, entry & 15, floor, stopped, want_depth)
-        for y in range(rows):
-            for x in range(columns):
-                pixel = (y // BLOCK * BLOCK + x // BLOCK) * PIXELS + y % BLOCK * BLOCK + x % BLOCK
-                rgb[y0 + y, x0 + x, 0] = space[pixel + R]
-                rgb[y0 + y, x0 + x, 1] = space[pixel + G]
-                rgb[y0 + y, x0 + x, 2] = space[pixel + B]
-                transmittance[y0 + y, x0 + x] = abs(space[pixel + T])
-                if want_depth:
-                    depth[y0 + y, x0 + x] = space[pixel + Z]
+        _write_patch(space, x0, y0, columns, rows, want_depth, rgb, transmittance, depth)
     return True

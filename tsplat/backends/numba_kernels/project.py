@@ -19,11 +19,11 @@ from tsplat.backends.numba_kernels.simd import (
     fma,
     item,
     load,
+    log2,
     popcount,
     put,
     select,
     store,
-    view,
 )
 from tsplat.core.constants import (
     EPS2D,
@@ -58,20 +58,6 @@ C20, C21, C22, C23, C24 = (np.float32(c) for c in SH_C2)
 C30, C31, C32, C33, C34, C35, C36 = (np.float32(c) for c in SH_C3)
 TWO, THREE, FOUR = np.float32(2), np.float32(3), np.float32(4)
 TWO_LN_2 = np.float32(2 * np.log(2))
-MANTISSA_BITS, THREE_QUARTERS = np.int32(23), np.float32(0.75).view(np.int32)
-# log2(m) = t L1 (1 + t^2 / 3 + t^4 / 5 + ...) where t = (m - 1) / (m + 1)
-L1, L3, L5, L7, L9 = (np.float32(c) for c in (2 / np.log(2), 1 / 3, 1 / 5, 1 / 7, 1 / 9))
-
-
-@kernel
-def log2(a: Any) -> Any:
-    """Binary logarithms of positive float32s that are not denormal, within 2e-7."""
-    whole = (view(a, np.int32) - THREE_QUARTERS) >> MANTISSA_BITS
-    m = view(view(a, np.int32) - (whole << MANTISSA_BITS), np.float32)  # in 3/4 .. 3/2
-    t = (m - ONE) / (m + ONE)
-    t2 = t * t
-    series = fma(fma(fma(fma(t2, L9, L7), t2, L5), t2, L3), t2, ONE)
-    return fma(t * L1, series, convert(whole, np.float32))
 
 
 @kernel

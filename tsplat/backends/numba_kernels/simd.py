@@ -13,10 +13,13 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
+
+from tsplat.backends.numba_kernels.jit import kernel
 
 
 class Vector(types.Type):  # type: ignore[misc]
@@ -200,6 +203,21 @@ def store(typing: Any, array: Any, index: Any, vector: Any) -> Any:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
+def interleave(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """``a[0], b[0], c[0], a[1], ...``, three times as many lanes."""
+    kind, n = Vector(a.dtype, 3 * a.lanes), a.lanes
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        first, second, third = args
+        pair = builder.shuffle_vector(first, second, _lanes(list(range(2 * n))))
+        last = builder.shuffle_vector(third, third, _lanes(list(range(2 * n))))
+        picked = [lane + at for lane in range(n) for at in (0, n, 2 * n)]
+        return builder.shuffle_vector(pair, last, _lanes(picked))
+
+    return kind(a, a, a), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
 def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """``a * b + c``, rounded once if that is as fast, else twice."""
     kind = next(k for k in (a, b, c) if isinstance(k, Vector))
@@ -283,3 +301,20 @@ def prefetch(typing: Any, array: Any, index: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.intp), code
+
+
+_MANTISSA_BITS, _THREE_QUARTERS = np.int32(23), np.float32(0.75).view(np.int32)
+# log2(m) = t L1 (1 + t^2 / 3 + t^4 / 5 + ...) where t = (m - 1) / (m + 1)
+_ONE = np.float32(1)
+_L1, _L3, _L5, _L7, _L9 = (np.float32(c) for c in (2 / math.log(2), 1 / 3, 1 / 5, 1 / 7, 1 / 9))
+
+
+@kernel
+def log2(a: Any) -> Any:
+    """Binary logarithms of positive float32s that are not denormal, within 2e-7."""
+    whole = (view(a, np.int32) - _THREE_QUARTERS) >> _MANTISSA_BITS
+    m = view(view(a, np.int32) - (whole << _MANTISSA_BITS), np.float32)  # in 3/4 .. 3/2
+    t = (m - _ONE) / (m + _ONE)
+    t2 = t * t
+    series = fma(fma(fma(fma(t2, _L9, _L7), t2, _L5), t2, _L3), t2, _ONE)
+    return fma(t * _L1, series, convert(whole, np.float32))

@@ -200,11 +200,12 @@ def composite(splats: Splats, bins: Bins, params: RenderParams, workspace: Works
     transmittance = workspace.array("numba.transmittance", (height, width), np.float32)
     depth = workspace.array("numba.depth", (height, width), np.float32) if params.depth else None
     rows = _runs(m, threads)
+    opacities = _at_least(pixels.LANES, arrays["opacities"])
     spread(
         threads, threads,
         lambda i: pixels.pack_splats(
-            *rows[i], arrays["means2d"], arrays["factors"], arrays["depths"],
-            arrays["opacities"], arrays["colors"], records, records64,
+            *rows[i], arrays["means2d"], arrays["factors"], arrays["depths"], opacities,
+            arrays["colors"], records, records64,
         ),
     )  # fmt: skip
     patches = tiles * (-(-size // pixels.SIDE)) ** 2
