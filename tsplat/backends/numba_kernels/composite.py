@@ -35,6 +35,7 @@ SIDE = 16  # px, of a patch
 BLOCK = 4  # px, of a block
 LANES = BLOCK * BLOCK
 BLOCKS = 16  # of a patch
+LINE = 16  # floats, of a cache line
 BATCH = 32  # splats between two looks for blocks that are closed
 
 # A splat as patches read it, one cache line: its mean and the first row of its factor as float64,
@@ -242,6 +243,11 @@ def composite_patches(
         if columns <= 0 or rows <= 0:
             continue
         _open_patch(space, columns, rows)
+        for y in range(y0, y0 + rows):  # the picture's lines, which come late if asked for late
+            to = y * width + x0
+            for line in range(3):
+                prefetch(rgb, 3 * to + LINE * line)
+            prefetch(transmittance, to)
         begin, end = offsets[tile], offsets[tile + 1]
         middle_x, middle_y = x0 + SIDE / 2, y0 + SIDE / 2
         for start in range(begin, end, BATCH):
