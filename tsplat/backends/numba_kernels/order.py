@@ -27,6 +27,7 @@ TILE = 16  # px
 LANES = 8  # splats whose boxes are found at a time
 SIDE_BITS = 16  # of a tile's column or row in a box
 TILES_MAX = (1 << SIDE_BITS) - 1  # across or down
+LINE = 16  # ids, of a cache line
 AHEAD = 32  # boxes that are asked for early, because they are reached through the order
 KEY = 32  # lowest bit of the key in a pair
 
@@ -160,14 +161,21 @@ def first_slots(counts: I64, offsets: I64) -> None:
 
 
 @kernel
-def fill_tiles(first: int, last: int, order: I32, ordered: I64, slots: I64, ids: I32) -> None:
-    """Lists a run of splats in their tiles."""
-    across = slots.shape[1]
-    for i in range(first, last):
-        k = item(order, i)
-        left, right, top, bottom = _sides(item(ordered, i))
-        for y in range(top, bottom):
-            for tile in range(y * across + left, y * across + right):
-                slot = item(slots, tile)
-                put(ids, slot, k)
-                put(slots, tile, slot + 1)
+def fill_tiles(
+    first: int, last: int, bands: int, order: I32, ordered: I64, slots: I64, ids: I32
+) -> None:
+    """Lists a run of splats in their tiles, one band of rows after the other: the ends of the
+    lists that grow at a time should fit the cache.
+    """  # noqa: D205
+    down, across = slots.shape[0] - 1, slots.shape[1]
+    for band in range(bands):
+        begin, end = down * band // bands, down * (band + 1) // bands
+        for i in range(first, last):
+            left, right, top, bottom = _sides(item(ordered, i))
+            k = item(order, i)
+            for y in range(max(top, begin), min(bottom, end)):
+                for tile in range(y * across + left, y * across + right):
+                    slot = item(slots, tile)
+                    prefetch(ids, slot + LINE)
+                    put(ids, slot, k)
+                    put(slots, tile, slot + 1)

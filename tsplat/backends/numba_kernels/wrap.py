@@ -171,9 +171,13 @@ def bin(splats: Splats, order: I32, workspace: Workspace) -> Bins:
     if not all(good):
         raise KernelError("bin: order points outside the splats")
     lists.first_slots(slots, offsets)
-    ids: I32 = workspace.array("numba.ids", (int(offsets[-1]),), np.int32)
+    total = int(offsets[-1])
+    ids: I32 = workspace.array("numba.ids", (total,), np.int32)
+    # Looking at every box once per band pays where a box has many tiles.
+    bands = min(max(total // (8 * m + 1), 1), down)
     spread(
-        threads, threads, lambda i: lists.fill_tiles(*runs[i], order, ordered, slots[i], ids)
+        threads, threads,
+        lambda i: lists.fill_tiles(*runs[i], bands, order, ordered, slots[i], ids),
     )  # fmt: skip
     return Bins(offsets, ids, size)
 
