@@ -33,12 +33,13 @@ KEY = 32  # lowest bit of the key in a pair
 
 
 @kernel
-def make_pairs(first: int, last: int, bits: U32, least: int, pairs: U64) -> None:
-    """Keys above row numbers. Depths are positive, so their bits order as they do, and so do their
-    distances from the least, which are shorter.
+def make_pairs(first: int, last: int, to: int, bits: U32, least: int, pairs: U64) -> None:
+    """Keys above row numbers, from pair ``to`` on. Depths are positive, so their bits order as
+    they do, and so do their distances from the least, which are shorter.
     """  # noqa: D205
     for i in range(first, last):
-        pairs[i] = np.uint64(bits[i] - np.uint32(least)) << np.uint64(KEY) | np.uint64(i)
+        key = np.uint64(bits[i] - np.uint32(least))
+        pairs[to + i - first] = key << np.uint64(KEY) | np.uint64(i)
 
 
 @kernel
@@ -126,7 +127,7 @@ def count_tiles(
     for i in range(first, last):
         prefetch(boxes, item(order, min(i + AHEAD, last - 1)))
         k = np.int64(item(order, i))
-        if k < 0 or k >= len(order):
+        if k < 0 or k >= len(boxes):
             return False
         box = item(boxes, k)
         put(ordered, i, box)

@@ -185,19 +185,19 @@ def _project_group(
 
 @kernel
 def project_rows(
-    first: int, last: int, means: F32, quats: F32, scales: F32, opacities: F32, sh: F32,
+    first: int, last: int, to: int, means: F32, quats: F32, scales: F32, opacities: F32, sh: F32,
     view_: F64, degree: int, antialias: bool, threshold: float, space: F32, space64: F64,
     means2d: F64, factors: F32, depths: F32, opacities2d: F32, colors: F32, radii: F32,
     gaussian_ids: I32,
 ) -> tuple[int, int]:  # fmt: skip
-    """Projects Gaussians ``first`` to ``last`` to rows of the splats from ``first`` on; returns
+    """Projects Gaussians ``first`` to ``last`` to rows of the splats from ``to`` on; returns
     how many are visible, and how many overflowed.
 
     The scene has at least LANES rows. space [SPACE] and space64 [2 LANES] are lent.
     """  # noqa: D205
     terms = (degree + 1) * (degree + 1)
     overflowed = 0
-    k = first
+    k = to
     for start in range(first, last, LANES):
         row = min(start, len(means) - LANES)  # the last group overlaps the one before it
         fresh = (1 << min(last - row, LANES)) - (1 << (start - row))
@@ -233,4 +233,4 @@ def project_rows(
             put(colors, 3 * k + 1, max(green, ZERO))
             put(colors, 3 * k + 2, max(blue, ZERO))
             k += 1
-    return k - first, overflowed
+    return k - to, overflowed

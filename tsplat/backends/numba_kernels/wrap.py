@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+import time
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.backends.numba_kernels import composite as pixels
+from tsplat.backends.numba_kernels import fused as whole
 from tsplat.backends.numba_kernels import order as lists
 from tsplat.backends.numba_kernels import project as geometry
 from tsplat.backends.numba_kernels.jit import spread
@@ -16,7 +18,8 @@ from tsplat.core.camera import Camera
 from tsplat.core.constants import ALPHA_FLOOR, CLAMP_MARGIN
 from tsplat.core.errors import KernelError, check_array
 from tsplat.core.params import RenderParams
-from tsplat.core.types import F64, I32, I64, Bins, Frame, Scene, Splats
+from tsplat.core.stages import STAGES, Counts
+from tsplat.core.types import F32, F64, I32, I64, Bins, Frame, Scene, Splats
 from tsplat.core.workspace import Workspace
 
 TILE_SIZE_MAX = 64
@@ -75,30 +78,42 @@ def _view(camera: Camera, scene: Scene) -> F64:
     ], np.float64)  # fmt: skip
 
 
+class _Projection:
+    """What projecting takes, but for the memory that splats go to."""
+
+    def __init__(
+        self, scene: Scene, camera: Camera, params: RenderParams, workspace: Workspace
+    ) -> None:
+        n, lanes = len(scene), geometry.LANES
+        self.threads = workspace.threads if n > _FEW else 1
+        pieces = _runs(-(-n // lanes), _pieces(self.threads))
+        self.runs = [(lanes * i, min(lanes * j, n)) for i, j in pieces]
+        gaussians = (scene.means, scene.quats, scene.scales, scene.opacities, scene.sh)
+        self.arguments = (
+            *(_at_least(lanes, array) for array in gaussians), _view(camera, scene),
+            min(params.sh_degree, scene.sh_degree), params.antialias,
+            max(params.alpha_threshold, ALPHA_FLOOR),
+        )  # fmt: skip
+        runs = len(self.runs)
+        self.space = workspace.array("numba.project", (runs, geometry.SPACE), np.float32)
+        self.space64 = workspace.array("numba.project64", (runs, 2 * lanes), np.float64)
+
+
 def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Workspace) -> Splats:
     """See :class:`tsplat.core.stages.Project`."""
-    n, lanes = len(scene), geometry.LANES
-    threads = workspace.threads if n > _FEW else 1
-    gaussians: list[Any] = [scene.means, scene.quats, scene.scales, scene.opacities, scene.sh]
-    gaussians = [_at_least(lanes, array) for array in gaussians]
-    view, threshold = _view(camera, scene), max(params.alpha_threshold, ALPHA_FLOOR)
-    degree = min(params.sh_degree, scene.sh_degree)
+    p = _Projection(scene, camera, params, workspace)
     arrays = {
-        name: workspace.array(f"numba.{name}", (n, *shape), dtype)
+        name: workspace.array(f"numba.{name}", (len(scene), *shape), dtype)
         for name, shape, dtype in _SPLAT_ARRAYS
     }
-    runs = [(lanes * i, min(lanes * j, n)) for i, j in _runs(-(-n // lanes), _pieces(threads))]
-    space = workspace.array("numba.project", (len(runs), geometry.SPACE), np.float32)
-    space64 = workspace.array("numba.project64", (len(runs), 2 * lanes), np.float64)
     counts = spread(
-        threads, len(runs),
+        p.threads, len(p.runs),
         lambda i: geometry.project_rows(
-            *runs[i], *gaussians, view, degree, params.antialias, threshold, space[i], space64[i],
-            *arrays.values(),
+            *p.runs[i], p.runs[i][0], *p.arguments, p.space[i], p.space64[i], *arrays.values()
         ),
     )  # fmt: skip
     m = 0
-    for (first, _), (visible, _) in zip(runs, counts, strict=True):
+    for (first, _), (visible, _) in zip(p.runs, counts, strict=True):
         if m < first:  # closes the gap that Gaussians out of sight leave
             for array in arrays.values():
                 array[m : m + visible] = array[first : first + visible]
@@ -111,22 +126,33 @@ def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Works
 def sort(splats: Splats, workspace: Workspace) -> I32:
     """See :class:`tsplat.core.stages.Sort`."""
     m = len(splats)
-    bits = check_array("Splats.depths", splats.depths, np.float32, (m,)).view(np.uint32)
-    threads = workspace.threads if m > _FEW else 1
-    runs = _runs(m, threads)
-    order: I32 = workspace.array("numba.order", (m,), np.int32)
-    pairs, spare = workspace.array("numba.pairs", (2, m), np.uint64)
-    least, most = (int(bits.min()), int(bits.max())) if m else (0, 0)
-    length = max((most - least).bit_length(), 1)
+    depths: Any = check_array("Splats.depths", splats.depths, np.float32, (m,))
+    return _sort(depths, _runs(m, workspace.threads if m > _FEW else 1), workspace)
+
+
+def _sort(depths: F32, runs: list[tuple[int, int]], workspace: Workspace) -> I32:
+    """Rows of ``depths`` from near to far: those of ``runs``, which are in rising order."""
+    bits = depths.view(np.uint32)
+    used = [bits[first:last] for first, last in runs if first < last]
+    least = min((int(b.min()) for b in used), default=0)
+    length = max((max((int(b.max()) for b in used), default=0) - least).bit_length(), 1)
     digits = -(-length // lists.DIGIT_BITS)
     digit_bits = -(-length // digits)
+    ends = list(accumulate(last - first for first, last in runs))
+    m = ends[-1]
+    order: I32 = workspace.array("numba.order", (m,), np.int32)
+    pairs, spare = workspace.array("numba.pairs", (2, m), np.uint64)
+    threads = workspace.threads if m > _FEW else 1
     histograms: I64 = workspace.array("numba.histograms", (threads, 1 << digit_bits), np.int64)
-    spread(threads, threads, lambda i: lists.make_pairs(*runs[i], bits, least, pairs))
+    spread(
+        threads, len(runs),
+        lambda i: lists.make_pairs(
+            *runs[i], ends[i] - (runs[i][1] - runs[i][0]), bits, least, pairs
+        ),
+    )  # fmt: skip
     for digit in range(digits):
-        _place_digit(
-            lists.KEY + digit * digit_bits, pairs, order if digit == digits - 1 else spare, runs,
-            histograms,
-        )  # fmt: skip
+        out = order if digit == digits - 1 else spare
+        _place_digit(lists.KEY + digit * digit_bits, pairs, out, _runs(m, threads), histograms)
         pairs, spare = spare, pairs
     return order
 
@@ -148,22 +174,30 @@ def _place_digit(
 
 def bin(splats: Splats, order: I32, workspace: Workspace) -> Bins:
     """See :class:`tsplat.core.stages.Bin`."""
-    arrays = _arrays(splats)
-    m, size, lanes = len(splats), lists.TILE, lists.LANES
+    arrays, m, lanes = _arrays(splats), len(splats), lists.LANES
     check_array("order", order, np.int32, (m,))
+    boxes = workspace.array("numba.boxes", (max(m, lanes),), np.int64)
+    means2d, radii = _at_least(lanes, arrays["means2d"]), _at_least(lanes, arrays["radii"])
     threads = workspace.threads if m > _FEW else 1
     runs, width, height = _runs(m, threads), splats.width, splats.height
-    across, down = -(-width // size), -(-height // size)
-    if max(across, down) > lists.TILES_MAX:
-        raise KernelError(f"bin: expected at most {lists.TILES_MAX * size} px, got {width}x{height}")
-    boxes = workspace.array("numba.boxes", (max(m, lanes),), np.int64)
-    ordered = workspace.array("numba.ordered", (m,), np.int64)
-    slots = workspace.array("numba.slots", (threads, down + 1, across + 1), np.int64)
-    offsets = workspace.array("numba.offsets", (across * down + 1,), np.int64)
-    means2d, radii = _at_least(lanes, arrays["means2d"]), _at_least(lanes, arrays["radii"])
     spread(
         threads, threads, lambda i: lists.box_tiles(*runs[i], means2d, radii, width, height, boxes)
     )  # fmt: skip
+    return _bin(order, boxes[:m], width, height, workspace)
+
+
+def _bin(order: I32, boxes: I64, width: int, height: int, workspace: Workspace) -> Bins:
+    """Lists the tiles of ``boxes`` in ``order``."""
+    m, size = len(order), lists.TILE
+    across, down = -(-width // size), -(-height // size)
+    if max(across, down) > lists.TILES_MAX:
+        most = lists.TILES_MAX * size
+        raise KernelError(f"bin: expected at most {most} px a side, got {width}x{height}")
+    threads = workspace.threads if m > _FEW else 1
+    runs = _runs(m, threads)
+    ordered = workspace.array("numba.ordered", (m,), np.int64)
+    slots = workspace.array("numba.slots", (threads, down + 1, across + 1), np.int64)
+    offsets = workspace.array("numba.offsets", (across * down + 1,), np.int64)
     good = spread(
         threads, threads,
         lambda i: lists.count_tiles(*runs[i], order, boxes, across, down, ordered, slots[i]),
@@ -186,44 +220,84 @@ def composite(splats: Splats, bins: Bins, params: RenderParams, workspace: Works
     """See :class:`tsplat.core.stages.Composite`."""
     arrays = _arrays(splats)
     m, height, width, size = len(splats), splats.height, splats.width, bins.tile_size
-    threads = workspace.threads
     if not 1 <= size <= TILE_SIZE_MAX:
         raise KernelError(f"composite: expected tiles of 1 to {TILE_SIZE_MAX} px, got {size}")
     tiles = -(-width // size) * -(-height // size)
-    offsets: Any = check_array("Bins.tile_offsets", bins.tile_offsets, np.int64, (tiles + 1,))
-    ids: Any = check_array(
-        "Bins.splat_ids", bins.splat_ids, np.int32, (int(bins.tile_offsets[-1]),)
-    )
+    offsets = check_array("Bins.tile_offsets", bins.tile_offsets, np.int64, (tiles + 1,))
+    check_array("Bins.splat_ids", bins.splat_ids, np.int32, (int(bins.tile_offsets[-1]),))
     if offsets[0] != 0 or (np.diff(offsets) < 0).any():
         raise KernelError("composite: Bins.tile_offsets must start at 0 and never fall")
-    # Extents end at the floor where there is no threshold.
-    threshold = max(params.alpha_threshold, ALPHA_FLOOR)
     records = workspace.array("numba.records", (m, pixels.RECORD), np.float32)
-    records64 = records.view(np.float64)
-    rgb = workspace.array("numba.rgb", (height, width, 3), np.float32)
-    transmittance = workspace.array("numba.transmittance", (height, width), np.float32)
-    depth = workspace.array("numba.depth", (height, width), np.float32) if params.depth else None
+    threads = workspace.threads if m > _FEW else 1
     rows = _runs(m, threads)
     opacities = _at_least(pixels.LANES, arrays["opacities"])
     spread(
         threads, threads,
         lambda i: pixels.pack_splats(
             *rows[i], arrays["means2d"], arrays["factors"], arrays["depths"], opacities,
-            arrays["colors"], records, records64,
+            arrays["colors"], records, records.view(np.float64),
         ),
     )  # fmt: skip
-    patches = tiles * (-(-size // pixels.SIDE)) ** 2
+    return _composite(records, bins, width, height, params, workspace)
+
+
+def _composite(
+    records: F32, bins: Bins, width: int, height: int, params: RenderParams, workspace: Workspace
+) -> Frame:
+    """The picture of packed splats."""
+    threads, size = workspace.threads, bins.tile_size
+    rgb = workspace.array("numba.rgb", (height, width, 3), np.float32)
+    transmittance = workspace.array("numba.transmittance", (height, width), np.float32)
+    depth = workspace.array("numba.depth", (height, width), np.float32) if params.depth else None
+    # Extents end at the floor where there is no threshold.
+    threshold = max(params.alpha_threshold, ALPHA_FLOOR)
+    patches = (len(bins.tile_offsets) - 1) * (-(-size // pixels.SIDE)) ** 2
     runs = _runs(patches, min(patches, 16 * threads))
     space = workspace.array("numba.space", (len(runs), pixels.SPACE), np.float32)
     entries = workspace.array("numba.entries", (len(runs), pixels.LIST), np.int32)
     good = spread(
         threads, len(runs),
         lambda i: pixels.composite_patches(
-            *runs[i], records, records64, offsets, ids, size, width, height, threshold,
-            params.transmittance_min, params.depth, space[i], entries[i], rgb, transmittance,
-            transmittance if depth is None else depth,
+            *runs[i], records, records.view(np.float64), bins.tile_offsets, bins.splat_ids, size,
+            width, height, threshold, params.transmittance_min, params.depth, space[i], entries[i],
+            rgb, transmittance, transmittance if depth is None else depth,
         ),
     )  # fmt: skip
     if not all(good):
         raise KernelError("composite: Bins.splat_ids points outside the splats")
     return Frame(rgb, transmittance, depth)
+
+
+def fused(
+    scene: Scene, camera: Camera, params: RenderParams, workspace: Workspace
+) -> tuple[Frame, Counts]:
+    """See :class:`tsplat.core.stages.Fused`: splats are packed and boxed while they are cached."""
+    clock = time.perf_counter
+    times = [clock()]
+    p = _Projection(scene, camera, params, workspace)
+    n, pieces, width, height = len(scene), len(p.runs), camera.width, camera.height
+    records = workspace.array("numba.records", (n, pixels.RECORD), np.float32)
+    boxes = workspace.array("numba.boxes", (n,), np.int64)
+    depths = workspace.array("numba.depths", (n,), np.float32)
+    chunk = [
+        workspace.array(f"numba.chunk.{name}", (pieces, whole.CHUNK, *shape), dtype)
+        for name, shape, dtype in (*_SPLAT_ARRAYS, ("boxes", (), np.int64))
+    ]
+    counts = spread(
+        p.threads, pieces,
+        lambda i: whole.project_records(
+            *p.runs[i], *p.arguments, p.space[i], p.space64[i], *(array[i] for array in chunk),
+            width, height, records, records.view(np.float64), boxes, depths,
+        ),
+    )  # fmt: skip
+    times.append(clock())
+    visible = [(first, first + m) for (first, _), (m, _) in zip(p.runs, counts, strict=True)]
+    order = _sort(depths, visible, workspace)
+    times.append(clock())
+    bins = _bin(order, boxes, width, height, workspace)
+    times.append(clock())
+    frame = _composite(records, bins, width, height, params, workspace)
+    times.append(clock())
+    seconds = {stage: end - start for stage, (start, end) in zip(STAGES, pairwise(times), strict=True)}
+    overflowed = sum(overflowed for _, overflowed in counts)
+    return frame, Counts(len(order), len(bins), overflowed, seconds)
