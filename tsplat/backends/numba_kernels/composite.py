@@ -15,7 +15,6 @@ import numpy as np
 from tsplat.backends.numba_kernels.jit import kernel
 from tsplat.backends.numba_kernels.simd import (
     bits,
-    convert,
     fma,
     interleave,
     item,
@@ -115,9 +114,7 @@ def _place(
     wide, floats = k * (RECORD // 2), k * RECORD
     dx = middle_x - item(records64, wide + MEAN_X)
     dy = middle_y - item(records64, wide + MEAN_Y)
-    middle_w = np.float32(
-        item(records64, wide + WIDE_X) * dx + item(records64, wide + WIDE_Y) * dy
-    )
+    middle_w = np.float32(item(records64, wide + WIDE_X) * dx + item(records64, wide + WIDE_Y) * dy)
     step_x, step_y = item(records, floats + STEP_X), item(records, floats + STEP_Y)
     step_v = item(records, floats + STEP_V)
     block_x, block_y = load(BLOCK_X, 0, BLOCKS), load(BLOCK_Y, 0, BLOCKS)
@@ -130,7 +127,8 @@ def _place(
     near_w = max(abs(w) - EDGE * (step_x + abs(step_y)), ZERO)
     near_v = max(abs(v) - EDGE * step_v, ZERO)
     reach = item(records, floats + LEVEL) - floor
-    return bits(fma(near_w, near_w, near_v * near_v) <= reach + REACH_SLACK * (reach + ONE))
+    reached = fma(near_w, near_w, near_v * near_v) <= reach + REACH_SLACK * (reach + ONE)
+    return bits(reached)  # type: ignore[no-any-return]
 
 
 @kernel
@@ -184,11 +182,11 @@ def _open_patch(space: F32, columns: int, rows: int) -> None:
 @kernel
 def _open_blocks(space: F32) -> int:
     """Which blocks have a pixel that is not stopped, one bit each."""
-    mask = 0
+    mask: Any = 0
     for block in range(BLOCKS):
         some = bits(load(space, block * PIXELS + T, LANES) > ZERO) != 0
         mask |= np.int64(some) << block
-    return mask
+    return int(mask)
 
 
 @kernel
@@ -263,20 +261,20 @@ def composite_patches(
                 prefetch(records, item(ids, j) * RECORD)
             # In turn, each without branches that would have to wait for sums.
             for j in range(count):
-                k = np.int64(item(ids, start + j))
+                splat: Any = np.int64(item(ids, start + j))
                 at = BLOCKS * PIXELS + j * PLACED
-                masks[j] = _place(records, records64, k, middle_x, middle_y, floor, space, at)
+                masks[j] = _place(records, records64, splat, middle_x, middle_y, floor, space, at)
             listed = 0
             for j in range(count):
                 mask = masks[j] & open_blocks
                 at = BLOCKS * PIXELS + j * PLACED
                 for shift in (0, 8):
                     byte = mask >> shift & 255
-                    entry = np.int32(at << 4 | shift)
-                    store(entries, listed, load(BITS_SET, byte * 8, 8) + entry)
+                    place = np.int32(at << 4 | shift)
+                    store(entries, listed, load(BITS_SET, byte * 8, 8) + place)
                     listed += popcount(byte)
             for i in range(listed):
-                entry = np.int64(item(entries, i))
+                entry: Any = np.int64(item(entries, i))
                 _draw(space, entry >> 4, entry & 15, floor, stopped, want_depth)
         _write_patch(space, x0, y0, columns, rows, want_depth, rgb, transmittance, depth)
     return True

@@ -24,7 +24,7 @@ def project_records(
     ``first`` on; returns how many are visible, and how many overflowed.
 
     The splats [CHUNK] and their boxes are lent; for the rest see the three stages.
-    """  # noqa: D205
+    """
     row, overflowed = first, 0
     for start in range(first, last, CHUNK):
         count, over = project_rows(

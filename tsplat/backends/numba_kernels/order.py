@@ -36,7 +36,7 @@ KEY = 32  # lowest bit of the key in a pair
 def make_pairs(first: int, last: int, to: int, bits: U32, least: int, pairs: U64) -> None:
     """Keys above row numbers, from pair ``to`` on. Depths are positive, so their bits order as
     they do, and so do their distances from the least, which are shorter.
-    """  # noqa: D205
+    """
     for i in range(first, last):
         key = np.uint64(bits[i] - np.uint32(least))
         pairs[to + i - first] = key << np.uint64(KEY) | np.uint64(i)
@@ -122,7 +122,7 @@ def count_tiles(
     copies to ``ordered``; False for a bad row.
 
     Every box leaves four marks at its corners; sums over rows and columns turn them into counts.
-    """  # noqa: D205
+    """
     counts[:] = 0
     for i in range(first, last):
         prefetch(boxes, item(order, min(i + AHEAD, last - 1)))
@@ -167,7 +167,7 @@ def fill_tiles(
 ) -> None:
     """Lists a run of splats in their tiles, one band of rows after the other: the ends of the
     lists that grow at a time should fit the cache.
-    """  # noqa: D205
+    """
     down, across = slots.shape[0] - 1, slots.shape[1]
     for band in range(bands):
         begin, end = down * band // bands, down * (band + 1) // bands

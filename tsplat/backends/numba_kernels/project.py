@@ -22,7 +22,6 @@ from tsplat.backends.numba_kernels.simd import (
     log2,
     popcount,
     put,
-    select,
     store,
 )
 from tsplat.core.constants import (
@@ -90,7 +89,7 @@ def _project_group(
 ) -> tuple[int, int]:  # fmt: skip
     """Projects LANES Gaussians from ``row`` on into space and space64; returns two masks: which
     are visible, and which overflow.
-    """  # noqa: D205
+    """
     r00, r01, r02, r10, r11, r12 = view_[0], view_[1], view_[2], view_[3], view_[4], view_[5]
     r20, r21, r22 = view_[6], view_[7], view_[8]
     dx = convert(column(means, row, 0, 3, LANES), np.float64) - view_[CENTRE]
@@ -194,7 +193,7 @@ def project_rows(
     how many are visible, and how many overflowed.
 
     The scene has at least LANES rows. space [SPACE] and space64 [2 LANES] are lent.
-    """  # noqa: D205
+    """
     terms = (degree + 1) * (degree + 1)
     overflowed = 0
     k = to

@@ -2,27 +2,33 @@
 
 LLVM's own vectoriser stops at 256 bits, tests for aliasing before every loop, and says nothing
 when it gives up. Here a kernel names its vectors: ``load`` makes one, ``+ - * /``, comparisons,
-``min``, ``max``, ``abs`` and ``math.sqrt`` work lane by lane and take scalars, and LLVM cuts it into registers
-of whatever size the machine has. Only ``fma`` fuses, and only where the machine has it.
+``min``, ``max``, ``abs`` and ``math.sqrt`` work lane by lane and take scalars, and LLVM cuts all
+that to whatever registers the machine has. Only ``fma`` fuses, and only where the machine can.
 """
+
+# mypy: disable-error-code="no-untyped-call"
+# numba's and LLVM's builders have no types.
 
 from __future__ import annotations
 
 import math
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
 from tsplat.backends.numba_kernels.jit import kernel
 
+# What it makes is called without the first argument, which no type checker knows.
+_intrinsic = cast("Callable[..., Callable[..., Any]]", intrinsic)
 
-class Vector(types.Type):  # type: ignore[misc]
+
+class Vector(types.Type):
     """``lanes`` numbers or booleans of type ``dtype``."""
 
     def __init__(self, dtype: Any, lanes: int) -> None:
@@ -42,7 +48,7 @@ class Vector(types.Type):  # type: ignore[misc]
 
 
 @register_model(Vector)
-class _VectorModel(models.PrimitiveModel):  # type: ignore[misc]
+class _VectorModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Vector) -> None:
         super().__init__(manager, kind, kind.llvm)
 
@@ -73,7 +79,7 @@ def _call(builder: Any, name: str, kind: Vector, args: Any) -> Any:
 def _operator(function: Any, lower: Callable[..., Any], truth: bool = False, of: int = 2) -> None:
     """Teaches ``function`` to take ``of`` vectors, or vectors and numbers."""
 
-    class Template(AbstractTemplate):  # type: ignore[misc]
+    class Template(AbstractTemplate):
         def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
             vector = next((a for a in args if isinstance(a, Vector)), None)
             if vector is None or len(args) != of:
@@ -123,10 +129,10 @@ _operator(operator.rshift, lambda builder, kind, a, b: builder.ashr(a, b))
 _operator(min, _choice("<"))
 _operator(max, _choice(">"))
 _operator(operator.neg, lambda builder, kind, a: builder.fneg(a), of=1)
-for _function, _name in (
-    (abs, "fabs"), (math.sqrt, "sqrt"), (math.ceil, "ceil"), (math.floor, "floor"),
-):  # fmt: skip
-    _operator(_function, _by_name(_name), of=1)
+_operator(abs, _by_name("fabs"), of=1)
+_operator(math.sqrt, _by_name("sqrt"), of=1)
+_operator(math.ceil, _by_name("ceil"), of=1)
+_operator(math.floor, _by_name("floor"), of=1)
 
 
 def _pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any, to: Any) -> Any:
@@ -139,7 +145,7 @@ def _size(array: Any) -> int:
     return int(array.dtype.bitwidth) // 8
 
 
-@intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
+@_intrinsic(prefer_literal=True)
 def load(typing: Any, array: Any, index: Any, lanes: Any) -> Any:
     """``lanes`` numbers of an array from flat ``index`` on."""
     kind = Vector(array.dtype, lanes.literal_value)
@@ -151,7 +157,7 @@ def load(typing: Any, array: Any, index: Any, lanes: Any) -> Any:
     return kind(array, types.intp, lanes), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def item(typing: Any, array: Any, index: Any) -> Any:
     """Flat element ``index``, which is never negative: without Python's test for that."""
 
@@ -162,7 +168,7 @@ def item(typing: Any, array: Any, index: Any) -> Any:
     return array.dtype(array, types.intp), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def put(typing: Any, array: Any, index: Any, value: Any) -> Any:
     """Writes flat element ``index``, which is never negative."""
 
@@ -174,7 +180,7 @@ def put(typing: Any, array: Any, index: Any, value: Any) -> Any:
     return types.void(array, types.intp, array.dtype), code
 
 
-@intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
+@_intrinsic(prefer_literal=True)
 def column(typing: Any, array: Any, row: Any, number: Any, width: Any, lanes: Any) -> Any:
     """Column ``number`` of ``lanes`` rows of an array [N, width], from ``row`` on."""
     kind, step = Vector(array.dtype, lanes.literal_value), width.literal_value
@@ -190,7 +196,7 @@ def column(typing: Any, array: Any, row: Any, number: Any, width: Any, lanes: An
     return kind(array, types.intp, number, width, lanes), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def store(typing: Any, array: Any, index: Any, vector: Any) -> Any:
     """Writes a vector to flat ``index`` of an array."""
 
@@ -202,7 +208,7 @@ def store(typing: Any, array: Any, index: Any, vector: Any) -> Any:
     return types.void(array, types.intp, vector), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def interleave(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """``a[0], b[0], c[0], a[1], ...``, three times as many lanes."""
     kind, n = Vector(a.dtype, 3 * a.lanes), a.lanes
@@ -217,7 +223,7 @@ def interleave(typing: Any, a: Any, b: Any, c: Any) -> Any:
     return kind(a, a, a), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """``a * b + c``, rounded once if that is as fast, else twice."""
     kind = next(k for k in (a, b, c) if isinstance(k, Vector))
@@ -228,8 +234,7 @@ def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     return kind(kind, kind, kind), code
 
 
-
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def select(typing: Any, mask: Any, a: Any, b: Any) -> Any:
     """``a`` where the mask is set, else ``b``."""
     kind = next(k for k in (a, b) if isinstance(k, Vector))
@@ -240,7 +245,7 @@ def select(typing: Any, mask: Any, a: Any, b: Any) -> Any:
     return kind(mask, kind, kind), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def bits(typing: Any, mask: Any) -> Any:
     """A mask as an int64, lane 0 lowest."""
 
@@ -251,7 +256,7 @@ def bits(typing: Any, mask: Any) -> Any:
     return types.int64(mask), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def view(typing: Any, vector: Any, dtype: Any) -> Any:
     """The same bits as another type of the same size."""
     kind = vector.of(dtype.dtype)
@@ -262,7 +267,7 @@ def view(typing: Any, vector: Any, dtype: Any) -> Any:
     return kind(vector, dtype), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def convert(typing: Any, vector: Any, dtype: Any) -> Any:
     """The same numbers in another type; integers from floats lose their fraction."""
     kind = vector.of(dtype.dtype)
@@ -278,7 +283,7 @@ def convert(typing: Any, vector: Any, dtype: Any) -> Any:
     return kind(vector, dtype), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def popcount(typing: Any, number: Any) -> Any:
     """How many bits are set."""
 
@@ -288,7 +293,7 @@ def popcount(typing: Any, number: Any) -> Any:
     return types.int64(types.int64), code
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def prefetch(typing: Any, array: Any, index: Any) -> Any:
     """Asks for the cache line of flat ``index``; a wrong index does no harm."""
 

@@ -89,14 +89,18 @@ class _Projection:
         pieces = _runs(-(-n // lanes), _pieces(self.threads))
         self.runs = [(lanes * i, min(lanes * j, n)) for i, j in pieces]
         gaussians = (scene.means, scene.quats, scene.scales, scene.opacities, scene.sh)
-        self.arguments = (
+        self._shared = (
             *(_at_least(lanes, array) for array in gaussians), _view(camera, scene),
             min(params.sh_degree, scene.sh_degree), params.antialias,
             max(params.alpha_threshold, ALPHA_FLOOR),
         )  # fmt: skip
         runs = len(self.runs)
-        self.space = workspace.array("numba.project", (runs, geometry.SPACE), np.float32)
-        self.space64 = workspace.array("numba.project64", (runs, 2 * lanes), np.float64)
+        self._space = workspace.array("numba.project", (runs, geometry.SPACE), np.float32)
+        self._space64 = workspace.array("numba.project64", (runs, 2 * lanes), np.float64)
+
+    def arguments(self, run: int) -> tuple[Any, ...]:
+        """What a run of Gaussians takes."""
+        return (*self._shared, self._space[run], self._space64[run])
 
 
 def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Workspace) -> Splats:
@@ -109,7 +113,7 @@ def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Works
     counts = spread(
         p.threads, len(p.runs),
         lambda i: geometry.project_rows(
-            *p.runs[i], p.runs[i][0], *p.arguments, p.space[i], p.space64[i], *arrays.values()
+            *p.runs[i], p.runs[i][0], *p.arguments(i), *arrays.values()
         ),
     )  # fmt: skip
     m = 0
@@ -283,11 +287,11 @@ def fused(
         workspace.array(f"numba.chunk.{name}", (pieces, whole.CHUNK, *shape), dtype)
         for name, shape, dtype in (*_SPLAT_ARRAYS, ("boxes", (), np.int64))
     ]
+    whole_frame: list[Any] = [width, height, records, records.view(np.float64), boxes, depths]
     counts = spread(
         p.threads, pieces,
         lambda i: whole.project_records(
-            *p.runs[i], *p.arguments, p.space[i], p.space64[i], *(array[i] for array in chunk),
-            width, height, records, records.view(np.float64), boxes, depths,
+            *p.runs[i], *p.arguments(i), *(array[i] for array in chunk), *whole_frame
         ),
     )  # fmt: skip
     times.append(clock())
@@ -298,6 +302,8 @@ def fused(
     times.append(clock())
     frame = _composite(records, bins, width, height, params, workspace)
     times.append(clock())
-    seconds = {stage: end - start for stage, (start, end) in zip(STAGES, pairwise(times), strict=True)}
+    seconds = {
+        stage: end - start for stage, (start, end) in zip(STAGES, pairwise(times), strict=True)
+    }
     overflowed = sum(overflowed for _, overflowed in counts)
     return frame, Counts(len(order), len(bins), overflowed, seconds)
