@@ -91,14 +91,21 @@ def pack_splats(
         row = min(start, len(opacities) - LANES)  # the last group overlaps the one before it
         store(levels, 0, log2(load(opacities, row, LANES)))
         for k in range(start, min(start + LANES, last)):
-            wide_x, wide_y = UNIT * np.float64(factors[k, 0]), UNIT * np.float64(factors[k, 1])
-            records64[k, MEAN_X], records64[k, MEAN_Y] = means2d[k, 0], means2d[k, 1]
-            records64[k, WIDE_X], records64[k, WIDE_Y] = wide_x, wide_y
-            records[k, STEP_X], records[k, STEP_Y] = wide_x, wide_y
-            records[k, STEP_V] = UNIT * np.float64(factors[k, 2])
-            records[k, LEVEL] = levels[k - row]
-            records[k, RED], records[k, GREEN] = colors[k, 0], colors[k, 1]
-            records[k, BLUE], records[k, DEPTH] = colors[k, 2], depths[k]
+            wide, floats = k * (RECORD // 2), k * RECORD
+            wide_x = UNIT * np.float64(item(factors, 3 * k))
+            wide_y = UNIT * np.float64(item(factors, 3 * k + 1))
+            put(records64, wide + MEAN_X, item(means2d, 2 * k))
+            put(records64, wide + MEAN_Y, item(means2d, 2 * k + 1))
+            put(records64, wide + WIDE_X, wide_x)
+            put(records64, wide + WIDE_Y, wide_y)
+            put(records, floats + STEP_X, np.float32(wide_x))
+            put(records, floats + STEP_Y, np.float32(wide_y))
+            put(records, floats + STEP_V, np.float32(UNIT * np.float64(item(factors, 3 * k + 2))))
+            put(records, floats + LEVEL, item(levels, k - row))
+            put(records, floats + RED, item(colors, 3 * k))
+            put(records, floats + GREEN, item(colors, 3 * k + 1))
+            put(records, floats + BLUE, item(colors, 3 * k + 2))
+            put(records, floats + DEPTH, item(depths, k))
 
 
 @kernel

@@ -38,8 +38,8 @@ def make_pairs(first: int, last: int, to: int, bits: U32, least: int, pairs: U64
     they do, and so do their distances from the least, which are shorter.
     """
     for i in range(first, last):
-        key = np.uint64(bits[i] - np.uint32(least))
-        pairs[to + i - first] = key << np.uint64(KEY) | np.uint64(i)
+        key = np.uint64(item(bits, i) - np.uint32(least))
+        put(pairs, to + i - first, key << np.uint64(KEY) | np.uint64(i))
 
 
 @kernel
@@ -48,7 +48,7 @@ def count_digits(first: int, last: int, pairs: U64, shift: int, histogram: I64) 
     mask, by = np.uint64(len(histogram) - 1), np.uint64(shift)
     histogram[:] = 0
     for i in range(first, last):
-        histogram[pairs[i] >> by & mask] += 1
+        histogram[item(pairs, i) >> by & mask] += 1
 
 
 @kernel
@@ -67,7 +67,7 @@ def place_pairs(first: int, last: int, pairs: U64, shift: int, places: I64, out:
     """Moves a run of pairs to the places of their digits, in order; to int32, only their rows."""
     mask, by = np.uint64(len(places) - 1), np.uint64(shift)
     for i in range(first, last):
-        pair = pairs[i]
+        pair = item(pairs, i)
         digit = pair >> by & mask
         out[np.uint64(places[digit])] = pair
         places[digit] += 1
@@ -124,6 +124,7 @@ def count_tiles(
     Every box leaves four marks at its corners; sums over rows and columns turn them into counts.
     """
     counts[:] = 0
+    stride = across + 1
     for i in range(first, last):
         prefetch(boxes, item(order, min(i + AHEAD, last - 1)))
         k = np.int64(item(order, i))
@@ -132,10 +133,9 @@ def count_tiles(
         box = item(boxes, k)
         put(ordered, i, box)
         left, right, top, bottom = _sides(box)
-        counts[top, left] += 1
-        counts[top, right] -= 1
-        counts[bottom, left] -= 1
-        counts[bottom, right] += 1
+        for row, first_mark in ((top * stride, 1), (bottom * stride, -1)):
+            put(counts, row + left, item(counts, row + left) + first_mark)
+            put(counts, row + right, item(counts, row + right) - first_mark)
     for y in range(down):
         for x in range(across):
             counts[y, x + 1] += counts[y, x]
