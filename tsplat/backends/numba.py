@@ -26,7 +26,7 @@ def load() -> Stages:
     """The four stages in numba; each is compiled when it first runs, and kept on disk."""
     from tsplat.backends.numba_kernels import wrap
 
-    return Stages(project=wrap.project, sort=wrap.sort, bin=wrap.bin, composite=wrap.composite)
+    return Stages(wrap.project, wrap.sort, wrap.bin, wrap.composite, wrap.fused)
 
 
 @hookimpl

@@ -23,6 +23,7 @@ OPTIONS: dict[str, Any] = {
     "nogil": True,
     # In words: off. It would let LLVM fuse and reorder sums, but depths must have the same bits
     # in every backend (their order and ties follow from them), and NaN tests must stay tests.
+    # Where fusing is safe, a kernel says so with simd.fma.
     "fastmath": False,
     "error_model": "numpy",  # no ZeroDivisionError; also what lets loops become vectors
     "boundscheck": False,
@@ -32,8 +33,8 @@ OPTIONS: dict[str, Any] = {
 def kernel(function: _F) -> _F:
     """``function`` compiled on its first call, then read from numba's cache on disk.
 
-    numba drops what it cached when the function's own file changes, not when a constant it
-    imports does: after an edit of ``core/constants.py``, touch the kernels.
+    numba drops what it cached when the function's own file changes, not when what it imports
+    does: after an edit of ``core/constants.py`` or ``simd.py``, touch the kernels.
     """
     try:
         compiled: Any = numba.njit(cache=True, **OPTIONS)(function)

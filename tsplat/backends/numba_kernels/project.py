@@ -1,12 +1,29 @@
-"""Projection: Gaussians to splats, in float64, rounded once at the end."""
+"""Projection: Gaussians to splats, eight at a time.
+
+Geometry is float64: a needle's tilt must be right to the last bit of the float32 it ends in.
+Roots and quotients are float32, taken of sums that hold no cancellation.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from tsplat.backends.numba_kernels.jit import kernel
+from tsplat.backends.numba_kernels.simd import (
+    bits,
+    column,
+    convert,
+    fma,
+    item,
+    load,
+    log2,
+    popcount,
+    put,
+    store,
+)
 from tsplat.core.constants import (
     EPS2D,
     OFFSCREEN_MAX,
@@ -18,197 +35,201 @@ from tsplat.core.constants import (
     SH_C3,
     VARIANCE_MAX,
 )
-from tsplat.core.types import F32, F64, I32, I64
+from tsplat.core.types import F32, F64, I32
 
-RECORD = 16  # floats of scratch per Gaussian
-CHUNK = 2048  # Gaussians that are projected in one go; splats of a chunk stay together
+LANES = 8  # Gaussians projected at a time
 
 # Entries of the camera's numbers.
 CENTRE, FX, FY, CX, CY, NEAR, FAR, LEFT, RIGHT, TOP, BOTTOM, WIDTH, HEIGHT = 9, *range(12, 24)
 VIEW = 24
 
+# What a group of Gaussians leaves for its splats: vectors of each, float64 and float32.
+MEAN_X, MEAN_Y = 0, LANES
+U11, U12, U22, Z, OPACITY, RADIUS_X, RADIUS_Y = (LANES * i for i in range(7))
+BASIS = LANES * 7  # 16 vectors of spherical harmonics
+SPACE = LANES * 23
+
+# Typed, because numba computes float32 with a bare Python number in float64.
+ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
+SLACK, MARGIN = np.float32(1 + RADIUS_SLACK), np.float32(RADIUS_PAD)
+C0, C1 = np.float32(SH_C0), np.float32(SH_C1)
+C20, C21, C22, C23, C24 = (np.float32(c) for c in SH_C2)
+C30, C31, C32, C33, C34, C35, C36 = (np.float32(c) for c in SH_C3)
+TWO, THREE, FOUR = np.float32(2), np.float32(3), np.float32(4)
+TWO_LN_2 = np.float32(2 * np.log(2))
+
 
 @kernel
-def _basis(degree: int, x: float, y: float, z: float, basis: F64) -> None:
-    """Real spherical harmonics along the unit direction x, y, z; see reference.sh_basis."""
-    basis[0] = SH_C0
-    if degree >= 1:
-        basis[1] = -SH_C1 * y
-        basis[2] = SH_C1 * z
-        basis[3] = -SH_C1 * x
+def _store_basis(degree: int, x: Any, y: Any, z: Any, space: F32) -> None:
+    """Real spherical harmonics along unit directions x, y, z; see reference.sh_basis."""
+    store(space, BASIS + LANES, y * -C1)
+    store(space, BASIS + 2 * LANES, z * C1)
+    store(space, BASIS + 3 * LANES, x * -C1)
     if degree >= 2:
         xx, yy, zz = x * x, y * y, z * z
-        basis[4] = SH_C2[0] * (x * y)
-        basis[5] = SH_C2[1] * (y * z)
-        basis[6] = SH_C2[2] * (2 * zz - xx - yy)
-        basis[7] = SH_C2[3] * (x * z)
-        basis[8] = SH_C2[4] * (xx - yy)
+        store(space, BASIS + 4 * LANES, x * y * C20)
+        store(space, BASIS + 5 * LANES, y * z * C21)
+        store(space, BASIS + 6 * LANES, (zz * TWO - xx - yy) * C22)
+        store(space, BASIS + 7 * LANES, x * z * C23)
+        store(space, BASIS + 8 * LANES, (xx - yy) * C24)
         if degree >= 3:
-            basis[9] = SH_C3[0] * y * (3 * xx - yy)
-            basis[10] = SH_C3[1] * (x * y) * z
-            basis[11] = SH_C3[2] * y * (4 * zz - xx - yy)
-            basis[12] = SH_C3[3] * z * (2 * zz - 3 * xx - 3 * yy)
-            basis[13] = SH_C3[4] * x * (4 * zz - xx - yy)
-            basis[14] = SH_C3[5] * z * (xx - yy)
-            basis[15] = SH_C3[6] * x * (xx - 3 * yy)
+            store(space, BASIS + 9 * LANES, y * C30 * (xx * THREE - yy))
+            store(space, BASIS + 10 * LANES, x * y * z * C31)
+            store(space, BASIS + 11 * LANES, y * C32 * (zz * FOUR - xx - yy))
+            store(space, BASIS + 12 * LANES, z * C33 * (zz * TWO - xx * THREE - yy * THREE))
+            store(space, BASIS + 13 * LANES, x * C34 * (zz * FOUR - xx - yy))
+            store(space, BASIS + 14 * LANES, z * C35 * (xx - yy))
+            store(space, BASIS + 15 * LANES, x * C36 * (xx - yy * THREE))
 
 
 @kernel
-def project_chunks(
-    first: int, last: int, means: F32, quats: F32, scales: F32, opacities: F32, sh: F32,
-    view: F64, degree: int, antialias: bool, threshold: float, scratch: F32, scratch_ids: I32,
-    counts: I32,
-) -> int:  # fmt: skip
-    """Projects chunks ``first`` to ``last``; returns how many Gaussians overflowed.
-
-    view [VIEW]; scratch and scratch_ids [N, RECORD] are the same memory; a chunk's splats stand
-    at its beginning, and counts [chunks] says how many there are.
+def _project_group(
+    row: int, means: F32, quats: F32, scales: F32, opacities: F32, view_: F64, degree: int,
+    antialias: bool, threshold: float, space: F32, space64: F64,
+) -> tuple[int, int]:  # fmt: skip
+    """Projects LANES Gaussians from ``row`` on into space and space64; returns two masks: which
+    are visible, and which overflow.
     """
-    n = len(means)
-    r00, r01, r02, r10, r11, r12 = view[0], view[1], view[2], view[3], view[4], view[5]
-    r20, r21, r22 = view[6], view[7], view[8]
-    c0, c1, c2 = view[CENTRE], view[CENTRE + 1], view[CENTRE + 2]
-    fx, fy, cx, cy, near, far = view[FX], view[FY], view[CX], view[CY], view[NEAR], view[FAR]
-    left, right, top, bottom = view[LEFT], view[RIGHT], view[TOP], view[BOTTOM]
-    width, height = view[WIDTH], view[HEIGHT]
-    terms = (degree + 1) * (degree + 1)
-    basis = np.empty(16, np.float64)
-    basis[0] = SH_C0
-    overflowed = 0
-    for chunk in range(first, last):
-        k = chunk * CHUNK
-        for i in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
-            dx = np.float64(means[i, 0]) - c0
-            dy = np.float64(means[i, 1]) - c1
-            dz = np.float64(means[i, 2]) - c2
-            # In this order and without fused operations: see core.stages.Project.
-            z = (r20 * dx + r21 * dy) + r22 * dz
-            opacity = np.float64(opacities[i])
-            if not (z > near and z < far and opacity >= threshold):
-                continue
-            x = (r00 * dx + r01 * dy) + r02 * dz
-            y = (r10 * dx + r11 * dy) + r12 * dz
-            inverse = 1 / z
-            slope_x, slope_y = x / z, y / z
-            mean_x, mean_y = fx * slope_x + cx, fy * slope_y + cy
-            # The Jacobian's slopes are held near the picture; see reference._project_rows.
-            u, v = max(left, min(slope_x, right)), max(top, min(slope_y, bottom))
-            scale_x, scale_y = fx * inverse, fy * inverse
+    r00, r01, r02, r10, r11, r12 = view_[0], view_[1], view_[2], view_[3], view_[4], view_[5]
+    r20, r21, r22 = view_[6], view_[7], view_[8]
+    dx = convert(column(means, row, 0, 3, LANES), np.float64) - view_[CENTRE]
+    dy = convert(column(means, row, 1, 3, LANES), np.float64) - view_[CENTRE + 1]
+    dz = convert(column(means, row, 2, 3, LANES), np.float64) - view_[CENTRE + 2]
+    # In this order and without fused operations: see core.stages.Project.
+    depth = (dx * r20 + dy * r21) + dz * r22
+    opacity = load(opacities, row, LANES)
+    ahead = (depth > view_[NEAR]) & (depth < view_[FAR])
+    ahead = ahead & (convert(opacity, np.float64) >= threshold)
+    if not bits(ahead):
+        return 0, 0
+    inverse = 1.0 / depth
+    slope_x = ((dx * r00 + dy * r01) + dz * r02) * inverse
+    slope_y = ((dx * r10 + dy * r11) + dz * r12) * inverse
+    mean_x = fma(slope_x, view_[FX], view_[CX])
+    mean_y = fma(slope_y, view_[FY], view_[CY])
+    # The Jacobian's slopes are held near the picture; see reference._project_rows.
+    u = max(min(slope_x, view_[RIGHT]), view_[LEFT])
+    v = max(min(slope_y, view_[BOTTOM]), view_[TOP])
+    scale_x, scale_y = inverse * view_[FX], inverse * view_[FY]
 
-            # Rows of J R: what one unit along each world axis is on the image plane.
-            j00, j01, j02 = (
-                scale_x * (r00 - u * r20),
-                scale_x * (r01 - u * r21),
-                scale_x * (r02 - u * r22),
-            )
-            j10, j11, j12 = (
-                scale_y * (r10 - v * r20),
-                scale_y * (r11 - v * r21),
-                scale_y * (r12 - v * r22),
-            )
-            qw, qx = np.float64(quats[i, 0]), np.float64(quats[i, 1])
-            qy, qz = np.float64(quats[i, 2]), np.float64(quats[i, 3])
-            s0, s1 = np.float64(scales[i, 0]), np.float64(scales[i, 1])
-            s2 = np.float64(scales[i, 2])
-            t00, t01, t02 = (
-                1 - 2 * (qy * qy + qz * qz),
-                2 * (qx * qy - qw * qz),
-                2 * (qx * qz + qw * qy),
-            )
-            t10, t11, t12 = (
-                2 * (qx * qy + qw * qz),
-                1 - 2 * (qx * qx + qz * qz),
-                2 * (qy * qz - qw * qx),
-            )
-            t20, t21, t22 = (
-                2 * (qx * qz - qw * qy),
-                2 * (qy * qz + qw * qx),
-                1 - 2 * (qx * qx + qy * qy),
-            )
-            a10 = s0 * (j00 * t00 + j01 * t10 + j02 * t20)
-            a11 = s1 * (j00 * t01 + j01 * t11 + j02 * t21)
-            a12 = s2 * (j00 * t02 + j01 * t12 + j02 * t22)
-            a20 = s0 * (j10 * t00 + j11 * t10 + j12 * t20)
-            a21 = s1 * (j10 * t01 + j11 * t11 + j12 * t21)
-            a22 = s2 * (j10 * t02 + j11 * t12 + j12 * t22)
+    # Rows of J R: what one unit along each world axis is on the image plane.
+    j00, j01, j02 = fma(-u, r20, r00), fma(-u, r21, r01), fma(-u, r22, r02)
+    j10, j11, j12 = fma(-v, r20, r10), fma(-v, r21, r11), fma(-v, r22, r12)
+    qw = convert(column(quats, row, 0, 4, LANES), np.float64)
+    qx = convert(column(quats, row, 1, 4, LANES), np.float64)
+    qy = convert(column(quats, row, 2, 4, LANES), np.float64)
+    qz = convert(column(quats, row, 3, 4, LANES), np.float64)
+    x2, y2, z2 = qx + qx, qy + qy, qz + qz
+    wx, wy, wz = qw * x2, qw * y2, qw * z2
+    t00, t01, t02 = 1.0 - fma(qy, y2, qz * z2), fma(qx, y2, -wz), fma(qx, z2, wy)
+    t10, t11, t12 = fma(qx, y2, wz), 1.0 - fma(qx, x2, qz * z2), fma(qy, z2, -wx)
+    t20, t21, t22 = fma(qx, z2, -wy), fma(qy, z2, wx), 1.0 - fma(qx, x2, qy * y2)
+    s0 = convert(column(scales, row, 0, 3, LANES), np.float64)
+    s1 = convert(column(scales, row, 1, 3, LANES), np.float64)
+    s2 = convert(column(scales, row, 2, 3, LANES), np.float64)
+    a10 = fma(j00, t00, fma(j01, t10, j02 * t20)) * s0 * scale_x
+    a11 = fma(j00, t01, fma(j01, t11, j02 * t21)) * s1 * scale_x
+    a12 = fma(j00, t02, fma(j01, t12, j02 * t22)) * s2 * scale_x
+    a20 = fma(j10, t00, fma(j11, t10, j12 * t20)) * s0 * scale_y
+    a21 = fma(j10, t01, fma(j11, t11, j12 * t21)) * s1 * scale_y
+    a22 = fma(j10, t02, fma(j11, t12, j12 * t22)) * s2 * scale_y
 
-            xx = a10 * a10 + a11 * a11 + a12 * a12
-            yy = a20 * a20 + a21 * a21 + a22 * a22
-            xy = a10 * a20 + a11 * a21 + a12 * a22
-            if not (
-                xx + yy <= VARIANCE_MAX
-                and abs(mean_x) <= OFFSCREEN_MAX
-                and abs(mean_y) <= OFFSCREEN_MAX
-            ):
-                overflowed += 1
-                continue
-            d0, d1, d2 = a11 * a22 - a12 * a21, a12 * a20 - a10 * a22, a10 * a21 - a11 * a20
-            det_sharp = d0 * d0 + d1 * d1 + d2 * d2
-            det = det_sharp + EPS2D * (xx + yy) + EPS2D * EPS2D
-            if antialias:
-                opacity *= math.sqrt(det_sharp / det)
-                if not opacity >= threshold:
-                    continue
-            var_x, var_y = xx + EPS2D, yy + EPS2D
-            reach = 2 * math.log(opacity / threshold)
-            root_y = math.sqrt(var_y)
-            radius_x = math.sqrt(reach * var_x) * (1 + RADIUS_SLACK) + RADIUS_PAD
-            radius_y = math.sqrt(reach) * root_y * (1 + RADIUS_SLACK) + RADIUS_PAD
-            if not (
-                mean_x + radius_x >= 0.5
-                and mean_x - radius_x <= width - 0.5
-                and mean_y + radius_y >= 0.5
-                and mean_y - radius_y <= height - 0.5
-            ):
-                continue
+    xx = fma(a10, a10, fma(a11, a11, a12 * a12))
+    yy = fma(a20, a20, fma(a21, a21, a22 * a22))
+    xy = fma(a10, a20, fma(a11, a21, a12 * a22))
+    fits = (xx + yy <= VARIANCE_MAX) & (abs(mean_x) <= OFFSCREEN_MAX)
+    fits = fits & (abs(mean_y) <= OFFSCREEN_MAX)
+    seen = bits(ahead & fits)
+    overflowed = bits(ahead) & ~seen
+    d0, d1 = fma(a11, a22, -(a12 * a21)), fma(a12, a20, -(a10 * a22))
+    d2 = fma(a10, a21, -(a11 * a20))
+    det_sharp = fma(d0, d0, fma(d1, d1, d2 * d2))
+    var_x, var_y = xx + EPS2D, yy + EPS2D
+    det = det_sharp + fma(xx + yy, EPS2D, (xx - xx) + EPS2D * EPS2D)
 
-            root_det = math.sqrt(det)
-            share = 1 / (root_y * root_det)
-            scratch[k, 0], scratch[k, 1] = mean_x, mean_y
-            scratch[k, 13] = mean_x - np.float64(scratch[k, 0])  # what float32 has left over
-            scratch[k, 14] = mean_y - np.float64(scratch[k, 1])
-            scratch[k, 2] = var_y * share
-            scratch[k, 3] = -xy * share
-            scratch[k, 4] = root_det * share
-            scratch[k, 5] = z
-            scratch[k, 6] = opacity
-            if degree > 0:
-                length = 1 / math.sqrt(dx * dx + dy * dy + dz * dz)
-                _basis(degree, dx * length, dy * length, dz * length, basis)
-            red, green, blue = 0.5, 0.5, 0.5
-            for term in range(terms):
-                red += basis[term] * np.float64(sh[i, term, 0])
-                green += basis[term] * np.float64(sh[i, term, 1])
-                blue += basis[term] * np.float64(sh[i, term, 2])
-            scratch[k, 7] = max(red, 0.0)
-            scratch[k, 8] = max(green, 0.0)
-            scratch[k, 9] = max(blue, 0.0)
-            scratch[k, 10] = radius_x
-            scratch[k, 11] = radius_y
-            scratch_ids[k, 12] = i
-            k += 1
-        counts[chunk] = k - chunk * CHUNK
-    return overflowed
+    width_x, width_y = math.sqrt(convert(var_x, np.float32)), math.sqrt(convert(var_y, np.float32))
+    root = math.sqrt(convert(det, np.float32))
+    if antialias:
+        opacity = opacity * (math.sqrt(convert(det_sharp, np.float32)) / root)
+    least = np.float32(threshold)
+    # alpha reaches the threshold where sigma <= ln(opacity / threshold).
+    reach = math.sqrt(log2(max(opacity / least, ONE)) * TWO_LN_2)
+    radius_x = fma(reach * width_x, SLACK, MARGIN)
+    radius_y = fma(reach * width_y, SLACK, MARGIN)
+    x, y = convert(mean_x, np.float32), convert(mean_y, np.float32)
+    touches = (x + radius_x >= HALF) & (x - radius_x <= np.float32(view_[WIDTH] - 0.5))
+    touches = touches & (y + radius_y >= HALF)
+    touches = touches & (y - radius_y <= np.float32(view_[HEIGHT] - 0.5)) & (opacity >= least)
+    seen &= bits(touches)
+
+    # u11 and u12 share one factor, so that their quotient, the tilt, is rounded only at the end.
+    share = convert(ONE / (width_y * root), np.float64)
+    store(space64, MEAN_X, mean_x)
+    store(space64, MEAN_Y, mean_y)
+    store(space, U11, convert(var_y * share, np.float32))
+    store(space, U12, convert(-xy * share, np.float32))
+    store(space, U22, ONE / width_y)
+    store(space, Z, convert(depth, np.float32))
+    store(space, OPACITY, opacity)
+    store(space, RADIUS_X, radius_x)
+    store(space, RADIUS_Y, radius_y)
+    if degree > 0:
+        inverse = 1.0 / math.sqrt(fma(dx, dx, fma(dy, dy, dz * dz)))
+        _store_basis(
+            degree, convert(dx * inverse, np.float32), convert(dy * inverse, np.float32),
+            convert(dz * inverse, np.float32), space,
+        )  # fmt: skip
+    return seen, overflowed
 
 
 @kernel
-def gather_chunks(
-    first: int, last: int, scratch: F32, scratch_ids: I32, counts: I32, starts: I64,
-    means2d: F64, factors: F32, depths: F32, opacities: F32, colors: F32, radii: F32,
+def project_rows(
+    first: int, last: int, to: int, means: F32, quats: F32, scales: F32, opacities: F32, sh: F32,
+    view_: F64, degree: int, antialias: bool, threshold: float, space: F32, space64: F64,
+    means2d: F64, factors: F32, depths: F32, opacities2d: F32, colors: F32, radii: F32,
     gaussian_ids: I32,
-) -> None:  # fmt: skip
-    """Copies the splats of chunks ``first`` to ``last`` to their rows; starts [chunks]."""
-    for chunk in range(first, last):
-        for j in range(counts[chunk]):
-            i, k = chunk * CHUNK + j, starts[chunk] + j
-            means2d[k, 0] = np.float64(scratch[i, 0]) + np.float64(scratch[i, 13])
-            means2d[k, 1] = np.float64(scratch[i, 1]) + np.float64(scratch[i, 14])
-            factors[k, 0], factors[k, 1], factors[k, 2] = (
-                scratch[i, 2],
-                scratch[i, 3],
-                scratch[i, 4],
-            )
-            depths[k], opacities[k] = scratch[i, 5], scratch[i, 6]
-            colors[k, 0], colors[k, 1], colors[k, 2] = scratch[i, 7], scratch[i, 8], scratch[i, 9]
-            radii[k, 0], radii[k, 1] = scratch[i, 10], scratch[i, 11]
-            gaussian_ids[k] = scratch_ids[i, 12]
+) -> tuple[int, int]:  # fmt: skip
+    """Projects Gaussians ``first`` to ``last`` to rows of the splats from ``to`` on; returns
+    how many are visible, and how many overflowed.
+
+    The scene has at least LANES rows. space [SPACE] and space64 [2 LANES] are lent.
+    """
+    terms = (degree + 1) * (degree + 1)
+    overflowed = 0
+    k = to
+    for start in range(first, last, LANES):
+        row = min(start, len(means) - LANES)  # the last group overlaps the one before it
+        fresh = (1 << min(last - row, LANES)) - (1 << (start - row))
+        seen, over = _project_group(
+            row, means, quats, scales, opacities, view_, degree, antialias, threshold, space,
+            space64,
+        )  # fmt: skip
+        overflowed += popcount(over & fresh)
+        seen &= fresh
+        for lane in range(LANES):
+            if not seen >> lane & 1:
+                continue
+            i = row + lane
+            put(means2d, 2 * k, item(space64, MEAN_X + lane))
+            put(means2d, 2 * k + 1, item(space64, MEAN_Y + lane))
+            put(factors, 3 * k, item(space, U11 + lane))
+            put(factors, 3 * k + 1, item(space, U12 + lane))
+            put(factors, 3 * k + 2, item(space, U22 + lane))
+            put(depths, k, item(space, Z + lane))
+            put(opacities2d, k, item(space, OPACITY + lane))
+            put(radii, 2 * k, item(space, RADIUS_X + lane))
+            put(radii, 2 * k + 1, item(space, RADIUS_Y + lane))
+            put(gaussian_ids, k, np.int32(i))
+            at = i * sh.shape[1] * 3
+            red, green = HALF + C0 * item(sh, at), HALF + C0 * item(sh, at + 1)
+            blue = HALF + C0 * item(sh, at + 2)
+            for term in range(1, terms):
+                basis = item(space, BASIS + term * LANES + lane)
+                red += basis * item(sh, at + 3 * term)
+                green += basis * item(sh, at + 3 * term + 1)
+                blue += basis * item(sh, at + 3 * term + 2)
+            put(colors, 3 * k, max(red, ZERO))
+            put(colors, 3 * k + 1, max(green, ZERO))
+            put(colors, 3 * k + 2, max(blue, ZERO))
+            k += 1
+    return k - to, overflowed
