@@ -91,7 +91,7 @@ def test_a_malformed_choice_is_explained(text):
 def test_a_fused_backend_runs_the_whole_frame():
     """A fused frame is used when all four stages are one backend's, and tells its own times."""
 
-    def fused(scene, camera, params, workspace):
+    def fused(scene, camera, params, workspace, everything=False):
         frame = reference.render(scene, camera, params)
         return frame, Counts(2, 7, 1, {"project": 0.5, "composite": 0.25})
 
@@ -112,7 +112,7 @@ def test_zero_harmonic_bands_are_left_out_and_the_picture_is_the_same():
     scene = gaussians(rng.normal((0, 0, 5), 0.3, (50, 3)), sh=sh)
     plan = make_plan(scene, threads=1)
     assert plan.params.sh_degree == 1
-    (item,) = [i for i in plan.left_out if i.what.startswith("SH")]
+    (item,) = [i for i in plan.left_out if i.what.startswith("SH bands")]
     assert item.what == "SH bands 2 to 3"
     full = replace(plan, params=replace(plan.params, sh_degree=3))
     frames = [tsplat.render(scene, straight(), p) for p in (plan, full)]

@@ -230,6 +230,10 @@ def make_parser() -> argparse.ArgumentParser:
         "--float64", action="store_true", help="the contract's picture worked out in float64; slow"
     )
     render.add_argument(
+        "--everything", action="store_true",
+        help="do the work too that the picture does not need, to compare",
+    )  # fmt: skip
+    render.add_argument(
         "--repeat", type=_count, default=1, metavar="N", help="render N times, for timing"
     )
     render.add_argument("--json", action="store_true", help="print facts and timings as JSON")

@@ -6,16 +6,17 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from tsplat.core.camera import Camera
 from tsplat.core.errors import PluginError, printable
 from tsplat.core.params import RenderParams
-from tsplat.core.stages import STAGES, Backend, Fused, Stages
-from tsplat.core.types import F16, F32, Frame, Scene
+from tsplat.core.stages import STAGES, Backend, Fused, LeftOut, Stages
+from tsplat.core.types import F16, F32, I32, Frame, Scene, Splats
 from tsplat.core.workspace import Workspace, default_threads
 from tsplat.plugins import Registry, ask, load_backend, plugins
 
 AUTO = "auto"
-IDENTICAL = "the picture is the same to the bit"
 
 
 @dataclass(frozen=True)
@@ -27,15 +28,6 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """Work that is skipped."""
-
-    what: str
-    why: str
-    effect: str = IDENTICAL
-
-
-@dataclass(frozen=True)
 class Rendered:
     """A frame and what it took. ``seconds`` has the stages that ran apart, and ``total``."""
 
@@ -44,6 +36,7 @@ class Rendered:
     intersections: int  # (splat, tile) pairs
     overflowed: int  # Gaussians too large or near for float32
     seconds: Mapping[str, float]
+    left_out: tuple[LeftOut, ...] = ()  # what this frame did not need, besides Plan.left_out
 
 
 @dataclass(frozen=True)
@@ -55,7 +48,8 @@ class Plan:
     choices: Mapping[str, Choice]  # stage -> who and why
     stages: Stages  # all four
     fused: Fused | None = None  # the whole frame at once, if one backend offers that
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()  # of every frame
+    everything: bool = False  # whether nothing is to be left out
     passed_over: tuple[str, ...] = ()  # backends "auto" did not take, with the reason
 
     @property
@@ -66,19 +60,38 @@ class Plan:
     def run(self, scene: Scene, camera: Camera, workspace: Workspace | None = None) -> Rendered:
         """One frame, with the time each stage took.
 
-        The frame lives in ``workspace`` if one is lent, and is then good until its next use.
+        The frame lives in ``workspace`` if one is lent, and is then good until its next use; a
+        frame that was the last one made in it is not made again.
         """
         workspace = workspace or Workspace(self.threads)
+        begin = time.perf_counter()
+        last: tuple[Plan, Scene, Camera, Rendered] | None = workspace.known.get("plan")
+        if last and last[0] is self and last[1] is scene and last[2].same(camera):
+            why = LeftOut("the whole frame", "nothing has changed since the last one")
+            seconds = {"total": time.perf_counter() - begin}
+            return replace(last[3], seconds=seconds, left_out=(why,))
+        rendered = self._made(scene, camera, workspace)
+        workspace.known["plan"] = None if self.everything else (self, scene, camera, rendered)
+        return rendered
+
+    def _made(self, scene: Scene, camera: Camera, workspace: Workspace) -> Rendered:
         clock = time.perf_counter
         begin = clock()
         if self.fused is not None:
-            frame, counts = self.fused(scene, camera, self.params, workspace)
+            workspace.known["order"] = None  # it may use the memory
+            frame, counts = self.fused(scene, camera, self.params, workspace, self.everything)
             seconds = {**counts.seconds, "total": clock() - begin}
-            return Rendered(frame, counts.visible, counts.intersections, counts.overflowed, seconds)
-        project, sort, bin, composite = (getattr(self.stages, s) for s in STAGES)
+            return Rendered(
+                frame, counts.visible, counts.intersections, counts.overflowed, seconds,
+                counts.left_out,
+            )  # fmt: skip
+        project, bin, composite = self.stages.project, self.stages.bin, self.stages.composite
+        assert project is not None  # as make_plan saw to
+        assert bin is not None
+        assert composite is not None
         splats = project(scene, camera, self.params, workspace)
         projected = clock()
-        order = sort(splats, workspace)
+        order, left_out = self._sorted(splats, workspace)
         ordered = clock()
         bins = bin(splats, order, workspace)
         binned = clock()
@@ -91,7 +104,22 @@ class Plan:
             "composite": end - binned,
             "total": end - begin,
         }
-        return Rendered(frame, len(splats), len(bins), splats.overflowed, seconds)
+        return Rendered(frame, len(splats), len(bins), splats.overflowed, seconds, left_out)
+
+    def _sorted(self, splats: Splats, workspace: Workspace) -> tuple[I32, tuple[LeftOut, ...]]:
+        """The order of ``splats``; the last one if it must be the same.
+
+        A sort sees depths and nothing else: same depths, same order. They are the same where the
+        same Gaussians are seen from the same place: after a zoom or a change of size.
+        """
+        sort = self.stages.sort
+        assert sort is not None
+        last = workspace.known.get("order")
+        if last and last[0] is sort and np.array_equal(last[1], splats.depths):
+            return last[2], (LeftOut("sorting", "depths are those of the last frame"),)
+        order = sort(splats, workspace)
+        workspace.known["order"] = None if self.everything else (sort, splats.depths.copy(), order)
+        return order, ()
 
 
 def render(
@@ -160,12 +188,14 @@ def make_plan(
     backend: str = AUTO,
     threads: int | None = None,
     params: RenderParams | None = None,
+    everything: bool = False,
     registry: Registry | None = None,
 ) -> Plan:
     """The plan for pictures of ``scene``: a backend for each stage, and what is left out.
 
     ``backend`` is a name, ``STAGE=NAME,...`` or ``auto``. A named backend runs what it offers;
-    the fastest available one runs the rest.
+    the fastest available one runs the rest. With ``everything``, work is done that the picture
+    does not need: to compare.
 
     Raises:
         PluginError: a named backend is not installed, not available, or cannot do this.
@@ -214,14 +244,17 @@ def make_plan(
             choices[stage] = Choice(fastest(stage), f"{name} does not offer it")
     names = {stage: choice.backend for stage, choice in choices.items()}
     stages = Stages(**{stage: getattr(loaded[name], stage) for stage, name in names.items()})
-    fused = loaded[names["project"]].fused if len(set(names.values())) == 1 else None
-    needed, left_out = _leave_out(scene, asked)
+    one = loaded[names["project"]] if len(set(names.values())) == 1 else stages
+    needed, left_out = (asked, []) if everything else _leave_out(scene, asked)
+    if one.fused is not None and not everything:
+        left_out += one.leaves_out(scene, needed)
     return Plan(
         params=needed,
         threads=threads or default_threads(),
         choices=choices,
         stages=stages,
-        fused=fused,
+        fused=one.fused,
         left_out=tuple(left_out),
+        everything=everything,
         passed_over=tuple(f"{n}: {r}" for n, r in passed_over.items()),
     )

@@ -40,10 +40,14 @@ def run(arguments: argparse.Namespace) -> int:
     loaded = time.perf_counter() - begin
     camera = pose(arguments, scene)
     plan = make_plan(
-        scene, backend=arguments.backend, threads=arguments.threads, params=_params(arguments)
-    )
+        scene, backend=arguments.backend, threads=arguments.threads, params=_params(arguments),
+        everything=arguments.everything,
+    )  # fmt: skip
     workspace = Workspace(plan.threads)
-    runs = [plan.run(scene, camera, workspace) for _ in range(arguments.repeat)]
+    runs = []
+    for _ in range(arguments.repeat):
+        workspace.forget()
+        runs.append(plan.run(scene, camera, workspace))
     write_output(arguments.output, runs[-1].frame, camera, arguments.background)
     seconds = {"load": loaded, **_over(runs, min)}
     if arguments.json:
@@ -75,7 +79,7 @@ def _facts(
         "intersections": last.intersections,
         "seconds": dict(seconds),
         "seconds_median": _over(runs, statistics.median),
-        "left_out": [vars(item) for item in plan.left_out],
+        "left_out": [vars(item) for item in (*plan.left_out, *last.left_out)],
     }
 
 

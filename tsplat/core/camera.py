@@ -81,6 +81,15 @@ class Camera:
                 "Axes are OpenCV's: x right, y down, z forward."
             )
 
+    def same(self, other: Camera) -> bool:
+        """Whether both take the same picture of any scene."""
+        return (
+            (self.width, self.height, self.near, self.far)
+            == (other.width, other.height, other.near, other.far)
+            and np.array_equal(self.viewmat, other.viewmat)
+            and np.array_equal(self.K, other.K)
+        )
+
     @property
     def rotation(self) -> F64:
         """[3, 3] world to camera."""

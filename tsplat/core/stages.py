@@ -65,6 +65,18 @@ class Composite(Protocol):
     ) -> Frame: ...
 
 
+IDENTICAL = "the picture is the same to the bit"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Work that is skipped."""
+
+    what: str
+    why: str
+    effect: str = IDENTICAL
+
+
 @dataclass(frozen=True)
 class Counts:
     """What a fused frame did: its own seconds per stage (a stage merged into another has none)."""
@@ -73,14 +85,28 @@ class Counts:
     intersections: int
     overflowed: int
     seconds: Mapping[str, float]
+    left_out: tuple[LeftOut, ...] = ()  # what this frame did not need
 
 
 class Fused(Protocol):
-    """The whole frame at once; the same picture as the four stages, to the bit."""
+    """The whole frame at once; the same picture as the four stages, to the bit.
+
+    It may skip whatever does not change the picture, and says so, unless ``everything`` is to be
+    done: that is how each cut is proved.
+    """
 
     def __call__(
-        self, scene: Scene, camera: Camera, params: RenderParams, workspace: Workspace
+        self,
+        scene: Scene,
+        camera: Camera,
+        params: RenderParams,
+        workspace: Workspace,
+        everything: bool = False,
     ) -> tuple[Frame, Counts]: ...
+
+
+def _nothing(scene: Scene, params: RenderParams) -> tuple[LeftOut, ...]:
+    return ()
 
 
 @dataclass(frozen=True)
@@ -92,6 +118,8 @@ class Stages:
     bin: Bin | None = None
     composite: Composite | None = None
     fused: Fused | None = None  # only beside all four
+    # what fused leaves out of a scene's pictures, whatever the camera
+    leaves_out: Callable[[Scene, RenderParams], tuple[LeftOut, ...]] = _nothing
 
     def offered(self) -> tuple[str, ...]:
         """Names of the stages that are there, in pipeline order."""

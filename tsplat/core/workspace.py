@@ -39,6 +39,8 @@ class Workspace:
             raise ParamsError(f"threads: expected 1 to {THREADS_MAX}, got {threads}")
         self.threads = threads
         self._buffers: dict[str, NDArray[Any]] = {}
+        self.known: dict[str, Any] = {}
+        """What was worked out for the last frame and may serve the next, by whom it is for."""
         self._converted: tuple[Callable[[], object], NDArray[np.float32]]
         self._converted = (lambda: None), np.empty(0, np.float32)
 
@@ -66,6 +68,10 @@ class Workspace:
             copy = array.astype(np.float32)
             self._converted = weakref.ref(array), copy
         return copy
+
+    def forget(self) -> None:
+        """Nothing of the last frame serves the next: for timing. The buffers stay."""
+        self.known.clear()
 
     @property
     def nbytes(self) -> int:

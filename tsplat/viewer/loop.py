@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
+from tsplat.core.camera import Camera
 from tsplat.core.errors import PluginError, printable
 from tsplat.core.types import Frame, Scene
 from tsplat.core.workspace import Workspace
@@ -35,6 +36,7 @@ class Viewer:
         self._workspaces = [Workspace(plan.threads), Workspace(plan.threads)]
         self._shown: Frame | None = None
         self._drawn: View | None = None  # the view on the screen
+        self._camera: Camera | None = None  # that took it
         self._clock = time.monotonic()
         self._choose()
 
@@ -84,8 +86,10 @@ class Viewer:
         if before is not None and before.help:
             self._screen.clear()
         size = self._presenter.size(terminal)
-        self._workspaces.reverse()
         camera = view.camera(size, self._presenter.pixel(terminal))
+        if self._camera is None or not self._camera.same(camera):
+            self._workspaces.reverse()
+        self._camera = camera
         rendered = self._plan.run(self._scene, camera, self._workspaces[0])
         frame = rendered.frame.over(self._background)
         begin = time.perf_counter()
@@ -109,4 +113,5 @@ class Viewer:
             f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{self._plan.threads}  "
             f"{self._presenter.name} {frame.width}x{frame.height} "
             f"{encoded * 1e3:.1f} ms {sent / 1e3:.0f} kB  ? keys"
+            + "".join(f"  without {item.what}" for item in rendered.left_out)
         )

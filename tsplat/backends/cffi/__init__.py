@@ -38,7 +38,7 @@ def load() -> Stages:
     isa.use_environment()
     return Stages(
         project=stages.project, sort=stages.sort, bin=stages.bin, composite=stages.composite,
-        fused=frame.fused,
+        fused=frame.fused, leaves_out=frame.leaves_out,
     )  # fmt: skip
 
 

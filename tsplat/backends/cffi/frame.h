@@ -39,17 +39,18 @@ int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
     int64_t n = packed->count, clusters = (n + CLUSTER - 1) / CLUSTER;
     int64_t across = ((int64_t)camera->width + TILE - 1) / TILE;
     int64_t down = ((int64_t)camera->height + TILE - 1) / TILE, tiles = across * down;
-    int64_t visible = 0, overflowed = 0, skipped = 0;
+    int64_t visible = 0, overflowed = 0, skipped = 0, kept = 0;
     if (n < 0 || n > scene->count || tiles < 1 || threads < 1) return TSPLAT_BAD_SIZE;
     if (across > INT16_MAX || down > INT16_MAX) return TSPLAT_BAD_SIZE;
     if ((params->sh_degree + 1) * (params->sh_degree + 1) > scene->coefficients ||
-        packed->width != TSPLAT_COLUMNS + (params->sh_degree ? 0 : 3))
+        (params->sh_degree && packed->width != TSPLAT_COLUMNS))
         return TSPLAT_BAD_SIZE;
     lens lens = make_lens(camera, params);
     float floor_ = (float)log2(lens.threshold);
     int64_t corners = (across + 1) * (down + 1);
     memset(space->steps, 0, sizeof *space->steps * (size_t)(corners * threads));
-#pragma omp parallel num_threads(threads) if (n > WORTH) reduction(+ : visible, overflowed, skipped)
+#pragma omp parallel num_threads(threads) if (n > WORTH) \
+    reduction(+ : visible, overflowed, skipped, kept)
     {
         int thread = 0;
 #ifdef _OPENMP
@@ -57,7 +58,7 @@ int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
 #endif
 #pragma omp for schedule(dynamic, 8)
         for (int64_t c = 0; c < clusters; c++) {
-            int64_t first = c * CLUSTER, count = min64(CLUSTER, n - first), found[2] = {0, 0};
+            int64_t first = c * CLUSTER, count = min64(CLUSTER, n - first), found[3] = {0, 0, 0};
             int used = 0;
             if (skip && out_of_sight(&lens, packed->bounds + c * TSPLAT_BOUNDS))
                 skipped += count;
@@ -68,6 +69,7 @@ int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
             space->owners[c] = thread;
             visible += found[0];
             overflowed += found[1];
+            kept += found[2];
         }
         STREAMED();
     }
@@ -83,7 +85,7 @@ int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
             }
         }
     }
-    int64_t at = 0, longest = 0;
+    int64_t at = 0, longest = 0, empty = 0;
     for (int64_t k = 0; k < tiles; k++) {
         space->tile_offsets[k] = at;
         for (int t = 0; t < threads; t++) {
@@ -91,11 +93,12 @@ int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
             space->cursors[t * tiles + k] = at;
             at += count;
         }
+        empty += at == space->tile_offsets[k];
         longest = at - space->tile_offsets[k] > longest ? at - space->tile_offsets[k] : longest;
     }
     space->tile_offsets[tiles] = at;
     totals[0] = visible, totals[1] = overflowed, totals[2] = skipped;
-    totals[3] = at, totals[4] = longest;
+    totals[3] = at, totals[4] = longest, totals[5] = empty, totals[6] = kept;
     return 0;
 }
 
@@ -125,9 +128,20 @@ int tsplat_frame_bin(const tsplat_packed *packed, const tsplat_camera *camera,
     return 0;
 }
 
+/* A tile that no splat touches. */
+static void clear_tile(const picture *out, int32_t x0, int32_t y0, int32_t columns, int32_t rows) {
+    for (int y = 0; y < rows; y++) {
+        int64_t at = (int64_t)(y0 + y) * out->width + x0;
+        memset(out->rgb + 3 * at, 0, 3 * sizeof(float) * (size_t)columns);
+        if (out->depth) memset(out->depth + at, 0, sizeof(float) * (size_t)columns);
+        for (int x = 0; x < columns; x++) out->transmittance[at + x] = 1;
+    }
+}
+
 int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *camera,
-                           const tsplat_params *params, const tsplat_space *space, int64_t longest,
-                           float *rgb, float *transmittance, float *depth, int threads) {
+                           const tsplat_params *params, int skip, const tsplat_space *space,
+                           int64_t longest, float *rgb, float *transmittance, float *depth,
+                           int threads) {
     int32_t width = camera->width, height = camera->height;
     int64_t across = ((int64_t)width + TILE - 1) / TILE, down = ((int64_t)height + TILE - 1) / TILE;
     const record *records = (const record *)(const void *)space->records;
@@ -152,10 +166,15 @@ int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *cam
                     int64_t begin = space->tile_offsets[v * across + u];
                     int64_t count = space->tile_offsets[v * across + u + 1] - begin;
                     int32_t x0 = (int32_t)u * TILE, y0 = (int32_t)v * TILE;
+                    int32_t columns = (int32_t)min64(TILE, width - x0);
+                    int32_t rows = (int32_t)min64(TILE, height - y0);
+                    if (skip && !count) {
+                        clear_tile(&out, x0, y0, columns, rows);
+                        continue;
+                    }
                     best->sort_tile(space->pairs + begin, scratch, count, records, ids);
                     bad |= best->composite_tile(&out, records, packed->count, ids, count, x0, y0,
-                                                (int32_t)min64(TILE, width - x0),
-                                                (int32_t)min64(TILE, height - y0));
+                                                columns, rows);
                 }
             }
         }

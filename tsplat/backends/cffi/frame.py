@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 
 from tsplat.backends.cffi._kernel import ffi, lib
 from tsplat.backends.cffi.call import camera_struct, check, params_struct, pointer
-from tsplat.backends.cffi.pack import pack
+from tsplat.backends.cffi.pack import Packed, pack
 from tsplat.core.camera import Camera
+from tsplat.core.constants import ALPHA_FLOOR
 from tsplat.core.params import RenderParams
-from tsplat.core.stages import Counts
+from tsplat.core.stages import Counts, LeftOut
 from tsplat.core.types import Frame, Scene
 from tsplat.core.workspace import Workspace
 
@@ -23,13 +25,76 @@ _FIELDS = (
 )  # fmt: skip
 
 
+def leaves_out(scene: Scene, params: RenderParams) -> tuple[LeftOut, ...]:
+    """What no frame of ``scene`` needs, whatever the camera."""
+    out = []
+    faint = int((scene.opacities < max(params.alpha_threshold, ALPHA_FLOOR)).sum())
+    if faint:
+        out.append(LeftOut(f"{faint:,} Gaussians", "their opacity is below the alpha threshold"))
+    cluster, left = int(lib.TSPLAT_CLUSTER), len(scene) - faint
+    if left > cluster:
+        why = f"{-(-left // cluster):,} clusters of {cluster} neighbours have bounds"
+        out.append(LeftOut("Gaussians out of sight", why))
+    if min(params.sh_degree, scene.sh_degree) == 0:
+        out.append(LeftOut("colours per frame", "the same from all sides: worked out once"))
+    else:
+        out.append(LeftOut("harmonics of Gaussians that are not visible", "projected first"))
+    return tuple(out)
+
+
+def _keep_colors(
+    packed: Packed, struct: Any, degree: int, camera: Camera, workspace: Workspace
+) -> None:
+    """Lends memory for colours from the second frame on that is taken from one place.
+
+    A camera that turns has its centre worked out anew and rounded; up to 1e-7 of the near plane's
+    distance, no direction to a visible Gaussian changes by more than float32 rounds it.
+    """
+    last, lanes = workspace.known.get("cffi.colors"), len(packed.columns)
+    if (
+        last is None
+        or last[0] is not packed
+        or last[1] != degree
+        or abs(camera.centre - last[2]).max() > 1e-7 * camera.near
+    ):
+        workspace.known["cffi.colors"] = (packed, degree, camera.centre, False)
+        return
+    colors = workspace.array("cffi.colors", (lanes, 3, 16), np.float32)
+    kept = workspace.array("cffi.kept", (lanes,), np.uint16)
+    if not last[3]:
+        kept.fill(0)
+        workspace.known["cffi.colors"] = (*last[:3], True)
+    struct.colors, struct.kept = pointer(colors, "float"), pointer(kept, "uint16_t")
+
+
+def _frame_left_out(
+    counts: tuple[int, int, int], gaussians: int, tiles: int
+) -> tuple[LeftOut, ...]:
+    skipped, empty, kept = counts
+    out = []
+    if skipped:
+        out.append(
+            LeftOut(f"{skipped:,} of {gaussians:,} Gaussians", "their clusters are out of sight")
+        )
+    if empty:
+        out.append(LeftOut(f"{empty:,} of {tiles:,} tiles", "no splat reaches them"))
+    if kept:
+        why = "the camera stands where it stood"
+        out.append(LeftOut(f"{kept:,} colours", why, "none moves by more than float32 rounds it"))
+    return tuple(out)
+
+
 def fused(
-    scene: Scene, camera: Camera, params: RenderParams, workspace: Workspace
+    scene: Scene,
+    camera: Camera,
+    params: RenderParams,
+    workspace: Workspace,
+    everything: bool = False,
 ) -> tuple[Frame, Counts]:
     """See :class:`tsplat.core.stages.Fused`."""
     clock = time.perf_counter
     degree = min(params.sh_degree, scene.sh_degree)
-    packed = pack(scene, params, degree, workspace)
+    packed = pack(scene, params, degree, workspace, everything)
     begin = clock()
     width, height, threads = camera.width, camera.height, workspace.threads
     across, down = -(-width // lib.TSPLAT_TILE), -(-height // lib.TSPLAT_TILE)
@@ -42,32 +107,37 @@ def fused(
     for (name, dtype, ctype), shape in zip(_FIELDS, shapes, strict=True):
         setattr(space, name, pointer(workspace.array(f"cffi.frame.{name}", shape, dtype), ctype))
     eye, how = camera_struct(camera, scene), params_struct(params, degree)
-    totals = ffi.new("int64_t[5]")
+    struct = ffi.new("tsplat_packed *", packed.struct[0])
+    if degree and not everything:
+        _keep_colors(packed, struct, degree, camera, workspace)
+    totals = ffi.new("int64_t[7]")
     check(
         lib.tsplat_frame_project(
-            packed.struct, packed.scene, eye, how, 1, space, totals, threads
+            struct, packed.scene, eye, how, not everything, space, totals, threads
         ),
         "project",
     )  # fmt: skip
     projected = clock()
-    visible, overflowed, _skipped, intersections, longest = totals
+    visible, overflowed, skipped, intersections, longest, empty, kept = totals
     pairs = workspace.array("cffi.frame.pairs", (intersections,), np.uint64)
     scratch = workspace.array("cffi.frame.scratch", (threads, longest), np.uint64)
     ids = workspace.array("cffi.frame.ids", (threads, longest), np.int32)
     space.pairs, space.scratch = pointer(pairs, "uint64_t"), pointer(scratch, "uint64_t")
     space.ids = pointer(ids, "int32_t")
-    check(lib.tsplat_frame_bin(packed.struct, eye, space, threads), "bin")
+    check(lib.tsplat_frame_bin(struct, eye, space, threads), "bin")
     binned = clock()
     rgb = workspace.array("cffi.rgb", (height, width, 3), np.float32)
     transmittance = workspace.array("cffi.transmittance", (height, width), np.float32)
     depth = workspace.array("cffi.depth", (height, width), np.float32) if params.depth else None
     check(
         lib.tsplat_frame_composite(
-            packed.struct, eye, how, space, longest, pointer(rgb, "float"),
+            struct, eye, how, not everything, space, longest, pointer(rgb, "float"),
             pointer(transmittance, "float"), pointer(depth, "float"), threads,
         ),
         "composite",
     )  # fmt: skip
     end = clock()
     seconds = {"project": projected - begin, "bin": binned - projected, "composite": end - binned}
-    return Frame(rgb, transmittance, depth), Counts(visible, intersections, overflowed, seconds)
+    left_out = () if everything else _frame_left_out((skipped, empty, kept), packed.count, tiles)
+    counts = Counts(visible, intersections, overflowed, seconds, left_out)
+    return Frame(rgb, transmittance, depth), counts

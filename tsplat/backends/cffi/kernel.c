@@ -115,7 +115,7 @@ typedef void pack_function(const tsplat_splats *, int64_t, int, float, record *)
 
 /* project_chunk(packed, scene, lens, floor, first, count, space, steps, totals): projects count
  * packed Gaussians into slots from first on and counts their boxes; returns the slots used and adds
- * to totals[0] the visible, to totals[1] the overflowed. */
+ * to totals[0] the visible, to totals[1] the overflowed, to totals[2] the colours kept. */
 typedef int chunk_function(const tsplat_packed *, const tsplat_scene *, const lens *, float, int64_t,
                            int, const tsplat_space *, int32_t *, int64_t *);
 

@@ -112,6 +112,8 @@ typedef struct {
     const double *bounds;       /* [ceil(N / TSPLAT_CLUSTER), TSPLAT_BOUNDS] */
     int64_t count;              /* N that are packed */
     int32_t width;              /* TSPLAT_COLUMNS, or three more where SH degree 0 makes the colour */
+    float *colors;              /* [ceil(N / 16), 3, 16] kept from frame to frame, or NULL */
+    uint16_t *kept;             /* [ceil(N / 16)]: which of sixteen colours are */
 } tsplat_packed;
 
 /* What a frame needs; slots are ceil(N / TSPLAT_CLUSTER) * TSPLAT_CLUSTER. */
@@ -138,8 +140,9 @@ int tsplat_curve(const tsplat_scene *scene, double alpha_threshold, const float 
 int tsplat_pack(const tsplat_scene *scene, const int32_t *order, double alpha_threshold,
                 const tsplat_packed *packed, float *columns, double *bounds, int threads);
 
-/* Projects what may be visible into records and counts intersections. totals [5]: visible,
- * overflowed, Gaussians in skipped clusters, intersections, intersections of the fullest tile. */
+/* Projects what may be visible into records and counts intersections. With skip, clusters out of
+ * sight are not looked at. totals [7]: visible, overflowed, Gaussians in skipped clusters,
+ * intersections, intersections of the fullest tile, tiles without any, colours that were kept. */
 int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
                          const tsplat_camera *camera, const tsplat_params *params, int skip,
                          const tsplat_space *space, int64_t *totals, int threads);
@@ -148,8 +151,10 @@ int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
 int tsplat_frame_bin(const tsplat_packed *packed, const tsplat_camera *camera,
                      const tsplat_space *space, int threads);
 
-/* Sorts and draws each tile; longest is totals[4]. */
+/* Sorts and draws each tile; longest is totals[4]. With skip, tiles without splats are only
+ * cleared. */
 int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *camera,
-                           const tsplat_params *params, const tsplat_space *space, int64_t longest,
-                           float *rgb, float *transmittance, float *depth, int threads);
+                           const tsplat_params *params, int skip, const tsplat_space *space,
+                           int64_t longest, float *rgb, float *transmittance, float *depth,
+                           int threads);
 #endif

@@ -26,7 +26,7 @@ class Packed:
     count: int  # Gaussians that can reach the threshold
     struct: Any  # tsplat_packed *
     scene: Any  # tsplat_scene *
-    key: tuple[float, bool]
+    key: tuple[float, bool, bool]
 
     @property
     def slots(self) -> int:
@@ -34,24 +34,27 @@ class Packed:
         return len(self.bounds) * int(lib.TSPLAT_CLUSTER)
 
 
-_packed: WeakKeyDictionary[Scene, Packed] = WeakKeyDictionary()
+_packed: WeakKeyDictionary[Scene, dict[bool, Packed]] = WeakKeyDictionary()
+"""The last one of each scene, without and with everything."""
 
 
-def pack(scene: Scene, params: RenderParams, degree: int, workspace: Workspace) -> Packed:
+def pack(
+    scene: Scene, params: RenderParams, degree: int, workspace: Workspace, everything: bool
+) -> Packed:
     """``scene`` packed for ``params``; made on first use and kept as long as the scene lives.
 
     Left out are Gaussians whose opacity is below the alpha threshold. If only SH degree 0 counts,
-    the colour is worked out here.
+    the colour is worked out here. Not so if ``everything`` is to be done in each frame.
     """
-    key = (params.alpha_threshold, degree == 0)
-    known = _packed.get(scene)
-    if known is None or known.key != key:
-        known = _packed[scene] = _pack(scene, key, workspace.threads)
-    return known
+    key = (params.alpha_threshold, degree == 0, everything)
+    both = _packed.setdefault(scene, {})
+    if everything not in both or both[everything].key != key:
+        both[everything] = _pack(scene, key, workspace.threads)
+    return both[everything]
 
 
-def _pack(scene: Scene, key: tuple[float, bool], threads: int) -> Packed:
-    threshold, plain = key
+def _pack(scene: Scene, key: tuple[float, bool, bool], threads: int) -> Packed:
+    threshold, plain, everything = key
     n = len(scene)
     struct = scene_struct(scene)
     sample = scene.means[:: max(n // SAMPLE, 1)]
@@ -62,7 +65,7 @@ def _pack(scene: Scene, key: tuple[float, bool], threads: int) -> Packed:
     kept = np.zeros(1, np.int64)
     check(
         lib.tsplat_curve(
-            struct, threshold, pointer(low, "float"), pointer(high, "float"),
+            struct, 0 if everything else threshold, pointer(low, "float"), pointer(high, "float"),
             pointer(codes, "uint32_t"), pointer(kept, "int64_t"), threads,
         ),
         "curve",
@@ -79,7 +82,7 @@ def _pack(scene: Scene, key: tuple[float, bool], threads: int) -> Packed:
     )  # fmt: skip
     del codes, pairs
     count = int(kept[0])
-    width = lib.TSPLAT_COLUMNS + 3 * plain
+    width = lib.TSPLAT_COLUMNS + 3 * (plain and not everything)
     store = Workspace()  # for its alignment
     columns = store.array("columns", (-(-count // 16), width, 16), np.float32)
     bounds = np.empty((-(-count // lib.TSPLAT_CLUSTER), lib.TSPLAT_BOUNDS))

@@ -254,10 +254,24 @@ TARGET static int NAME(project_chunk)(const tsplat_packed *packed, const tsplat_
         ISTORE(corner[0], IADD(top, u0)), ISTORE(corner[1], IADD(top, u1));
         ISTORE(corner[2], IADD(below, u0)), ISTORE(corner[3], IADD(below, u1));
         VF ids = LOAD(in + 16 * 11);
-        if (lens->sh_degree) {
-            NAME(colors)(s, lens, in, (const int32_t *)(const void *)(in + 16 * 11), seen, color);
-        } else {
+        if (packed->width > TSPLAT_COLUMNS) {
             for (int c = 0; c < 3; c++) STORE(color[c], LOAD(in + 16 * (12 + c)));
+        } else {
+            const int32_t *rows_of = (const int32_t *)(const void *)(in + 16 * 11);
+            int64_t group = (first + i) / 16;
+            unsigned known = packed->colors ? packed->kept[group] >> (i % 16) & seen : 0;
+            NAME(colors)(s, lens, in, rows_of, seen & ~known, color);
+            if (packed->colors) {
+                float *store = packed->colors + group * 48 + i % 16;
+                for (unsigned left = seen; left; left &= left - 1) {
+                    int l = __builtin_ctz(left), old = known >> l & 1;
+                    for (int c = 0; c < 3; c++)
+                        if (old) color[c][l] = store[16 * c + l];
+                        else store[16 * c + l] = color[c][l];
+                }
+                packed->kept[group] |= (uint16_t)(seen << (i % 16));
+                totals[2] += __builtin_popcount(known);
+            }
         }
         VF rgb[3] = {LOAD(color[0]), LOAD(color[1]), LOAD(color[2])};
         NAME(pack)(&g, rgb, ids, floor_, rows);

@@ -274,9 +274,16 @@ def _composite(
 
 
 def fused(
-    scene: Scene, camera: Camera, params: RenderParams, workspace: Workspace
+    scene: Scene,
+    camera: Camera,
+    params: RenderParams,
+    workspace: Workspace,
+    everything: bool = False,
 ) -> tuple[Frame, Counts]:
-    """See :class:`tsplat.core.stages.Fused`: splats are packed and boxed while they are cached."""
+    """See :class:`tsplat.core.stages.Fused`: splats are packed and boxed while they are cached.
+
+    It leaves nothing out, so ``everything`` changes nothing.
+    """
     clock = time.perf_counter
     times = [clock()]
     p = _Projection(scene, camera, params, workspace)
