@@ -201,6 +201,41 @@ def test_tiles_that_all_have_splats_are_not_called_empty():
 
 
 @settings(max_examples=15)
+@given(
+    seed=st.integers(0, 2**16), width=st.integers(20, 70), height=st.integers(20, 70),
+    most=st.sampled_from([0.02, 0.3, 1.0]), depth=st.booleans(), threads=st.integers(1, 2),
+)  # fmt: skip
+def test_a_crowded_frame_is_made_in_slabs_and_no_bit_moves(
+    seed, width, height, most, depth, threads
+):
+    """Opaque, half opaque and thin crowds, some of equal depth; pixels go on where they were left."""
+    rng = np.random.default_rng(seed)
+    scene = cloud(seed, 2500, spread=3, opacities=rng.uniform(0.01, most, 2500))
+    means = scene.means.copy()
+    means[:500, 2] = np.round(means[:500, 2])
+    scene = replace(scene, means=means, scales=np.maximum(scene.scales, 1))
+    params = RenderParams(depth=depth)
+    camera = camera_at((0, 0, -12), (0, 0, 0), width, height, fov=30)
+    cut = make_plan(scene, threads=threads, params=params)
+    full = make_plan(scene, threads=1, params=params, everything=True)
+    got, want = cut.run(scene, camera), full.run(scene, camera)
+    assert want.intersections > 1024 * (-(-width // 16)) * (-(-height // 16)) * 2
+    assert same_bits(got, want)
+    if depth:
+        assert got.frame.depth.tobytes() == want.frame.depth.tobytes()
+    if most == 1:
+        assert without(got, "opaque before")
+        assert got.intersections < want.intersections / 2
+
+
+def test_a_frame_with_little_behind_anything_is_made_in_one():
+    """No slabs where they would save nothing."""
+    scene = cloud(12, 3000, spread=3)
+    got = make_plan(scene).run(scene, camera_at((0, 0, -30), (0, 0, 0)))
+    assert not without(got, "opaque before")
+
+
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**16), factor=st.floats(0.8, 1.2))
 def test_the_order_is_kept_where_depths_are_the_same(seed, factor):
     """A zoom that loses nobody out of sight leaves depths as they are; a step does not."""

@@ -88,15 +88,14 @@ TARGET static inline uint32_t NAME(draw)(tile *s, int at, VF floor_, VF stop, in
                 b = FMA(weight, SET1(p->b), b);
                 if (want_depth) z = FMA(weight, SET1(p->z), z);
             }
-            int some = BITS(GE(t, zero)) != 0;
-            open |= (uint32_t)some << block;
             if (i == count) break;
-            if (some) continue;
+            if (BITS(GE(t, zero))) continue;
             i = count; /* the rest of its splats is hidden */
             alpha = NAME(alpha)(NAME(exponent)(s, list[i], at), floor_);
             x = NAME(exponent)(s, list[i + 1], at);
             break;
         }
+        open |= (uint32_t)(BITS(GE(t, zero)) != 0) << block;
         STORE(to->t + at, t);
         STORE(to->r + at, r);
         STORE(to->g + at, g);
@@ -127,13 +126,13 @@ TARGET static int NAME(composite_tile)(const picture *out, const record *records
     VF floor_ = SET1(out->floor), stop = SET1(out->stop);
     four_doubles place = {x0 + 0.5, y0 + 0.5, y0 + 0.5, 0};
     for (int64_t j = 0; j < min64(AHEAD, count); j++) PREFETCH(records + ids[j]);
-    uint32_t open = start_tile(&s, columns, rows);
+    uint32_t open = start_tile(&s, out, x0, y0, columns, rows);
     /* where the first few splats hide the rest, placing more would be in vain */
-    int64_t most = count > BATCH ? BATCH / 8 : BATCH;
+    int64_t most = count > BATCH || !out->last ? BATCH / 8 : BATCH;
     for (int64_t j = 0; j < count && open; most = BATCH) {
         int n = (int)min64(most, count - j);
         for (int i = 0; i < n; i++, j++) {
-            if (ids[j] < 0 || ids[j] >= slots) return 1;
+            if (ids[j] < 0 || ids[j] >= slots) return -1;
             PREFETCH(records + ids[min64(j + AHEAD, count - 1)]); /* a wrong one does no harm */
             NAME(place)(s.placed + i, records + ids[j], &place);
         }
@@ -142,15 +141,16 @@ TARGET static int NAME(composite_tile)(const picture *out, const record *records
         open = out->depth ? NAME(draw_batch)(&s, n, open, floor_, stop, 1)
                           : NAME(draw_batch)(&s, n, open, floor_, stop, 0);
     }
+    int done = out->last || !open;
 #ifdef STREAM_ROW
-    if (out->stream == 64 && !out->depth && columns == TILE) {
+    if (done && out->stream == 64 && !out->depth && columns == TILE) {
         for (int y = 0; y < rows; y++) {
             int64_t at = (int64_t)(y0 + y) * out->width + x0;
             STREAM_ROW(&s, y, out->rgb + 3 * at, out->transmittance + at);
         }
-        return 0;
+        return open != 0;
     }
 #endif
-    finish_tile(&s, out, x0, y0, columns, rows);
-    return 0;
+    finish_tile(&s, out, done, x0, y0, columns, rows);
+    return open != 0;
 }

@@ -17,11 +17,17 @@ from tsplat.core.stages import Counts, LeftOut
 from tsplat.core.types import Frame, Scene
 from tsplat.core.workspace import Workspace
 
+# A frame is made slab by slab, front to back, if tiles and splats have so many intersections each:
+# looking at all splats once per slab must cost less than what opaque tiles save.
+CROWDED_TILES, CROWDED_SPLATS = 1024, 8
+FIRST_SLAB = 64  # intersections per tile
+FAR_BITS = 2**32 - 1
 _FIELDS = (
     ("records", np.float32, "float"), ("boxes", np.int32, "int32_t"),
     ("depths", np.float32, "float"), ("cluster_counts", np.int32, "int32_t"),
     ("owners", np.int32, "int32_t"), ("steps", np.int32, "int32_t"),
     ("cursors", np.int64, "int64_t"), ("tile_offsets", np.int64, "int64_t"),
+    ("closed", np.uint8, "uint8_t"),
 )  # fmt: skip
 
 
@@ -68,16 +74,17 @@ def _keep_colors(
 
 
 def _frame_left_out(
-    counts: tuple[int, int, int], gaussians: int, tiles: int
+    skipped: tuple[int, int], empty: tuple[int, int], kept: int, hidden: tuple[int, int]
 ) -> tuple[LeftOut, ...]:
-    skipped, empty, kept = counts
+    """Of so many, where two numbers are given."""
     out = []
-    if skipped:
-        out.append(
-            LeftOut(f"{skipped:,} of {gaussians:,} Gaussians", "their clusters are out of sight")
-        )
-    if empty:
-        out.append(LeftOut(f"{empty:,} of {tiles:,} tiles", "no splat reaches them"))
+    for (count, of), things, why in (
+        (skipped, "Gaussians", "their clusters are out of sight"),
+        (empty, "tiles", "no splat reaches them"),
+        (hidden, "intersections", "the tiles are opaque before"),
+    ):
+        if count:
+            out.append(LeftOut(f"{count:,} of {of:,} {things}", why))
     if kept:
         why = "the camera stands where it stood"
         out.append(LeftOut(f"{kept:,} colours", why, "none moves by more than float32 rounds it"))
@@ -95,13 +102,13 @@ def fused(
     clock = time.perf_counter
     degree = min(params.sh_degree, scene.sh_degree)
     packed = pack(scene, params, degree, workspace, everything)
-    begin = clock()
+    start = clock()
     width, height, threads = camera.width, camera.height, workspace.threads
     across, down = -(-width // lib.TSPLAT_TILE), -(-height // lib.TSPLAT_TILE)
     slots, clusters, tiles = packed.slots, len(packed.bounds), across * down
     shapes = (
         (slots, lib.TSPLAT_RECORD), (slots, 2), (slots,), (clusters,), (clusters,),
-        (threads, down + 1, across + 1), (threads, tiles), (tiles + 1,),
+        (threads, down + 1, across + 1), (threads, tiles), (tiles + 1,), (tiles,),
     )  # fmt: skip
     space = ffi.new("tsplat_space *")
     for (name, dtype, ctype), shape in zip(_FIELDS, shapes, strict=True):
@@ -119,25 +126,44 @@ def fused(
     )  # fmt: skip
     projected = clock()
     visible, overflowed, skipped, intersections, longest, empty, kept = totals
-    pairs = workspace.array("cffi.frame.pairs", (intersections,), np.uint64)
-    scratch = workspace.array("cffi.frame.scratch", (threads, longest), np.uint64)
-    ids = workspace.array("cffi.frame.ids", (threads, longest), np.int32)
-    space.pairs, space.scratch = pointer(pairs, "uint64_t"), pointer(scratch, "uint64_t")
-    space.ids = pointer(ids, "int32_t")
-    check(lib.tsplat_frame_bin(struct, eye, space, threads), "bin")
-    binned = clock()
     rgb = workspace.array("cffi.rgb", (height, width, 3), np.float32)
     transmittance = workspace.array("cffi.transmittance", (height, width), np.float32)
     depth = workspace.array("cffi.depth", (height, width), np.float32) if params.depth else None
-    check(
-        lib.tsplat_frame_composite(
-            struct, eye, how, not everything, space, longest, pointer(rgb, "float"),
-            pointer(transmittance, "float"), pointer(depth, "float"), threads,
-        ),
-        "composite",
-    )  # fmt: skip
-    end = clock()
-    seconds = {"project": projected - begin, "bin": binned - projected, "composite": end - binned}
-    left_out = () if everything else _frame_left_out((skipped, empty, kept), packed.count, tiles)
-    counts = Counts(visible, intersections, overflowed, seconds, left_out)
+    picture = [pointer(a, "float") for a in (rgb, transmittance, depth)]
+    bounds, slabs = [0, FAR_BITS], 1
+    crowded = intersections > max(CROWDED_TILES * tiles, CROWDED_SPLATS * visible)
+    if crowded and not everything:
+        made, number = ffi.new("uint32_t[]", lib.TSPLAT_SLABS + 1), ffi.new("int32_t *")
+        share = FIRST_SLAB * tiles
+        check(lib.tsplat_frame_slabs(struct, eye, space, share, made, number), "slabs")
+        bounds, slabs = list(made), number[0]
+    drawn, binning, compositing = 0, 0.0, 0.0
+    for slab in range(slabs):
+        begin = clock()
+        near, far = bounds[slab : slab + 2]
+        if slabs > 1:
+            counted = ffi.new("int64_t[2]")
+            check(lib.tsplat_frame_count(struct, eye, space, near, far, counted, threads), "count")
+            intersections, longest = counted
+        drawn += intersections
+        pairs = workspace.array("cffi.frame.pairs", (intersections,), np.uint64)
+        scratch = workspace.array("cffi.frame.scratch", (threads, longest), np.uint64)
+        ids = workspace.array("cffi.frame.ids", (threads, longest), np.int32)
+        space.pairs, space.scratch = pointer(pairs, "uint64_t"), pointer(scratch, "uint64_t")
+        space.ids = pointer(ids, "int32_t")
+        check(lib.tsplat_frame_bin(struct, eye, space, near, far, threads), "bin")
+        binned = clock()
+        check(
+            lib.tsplat_frame_composite(
+                struct, eye, how, not everything, slab > 0, slab == slabs - 1, space, longest,
+                *picture, threads,
+            ),
+            "composite",
+        )  # fmt: skip
+        binning, compositing = binning + binned - begin, compositing + clock() - binned
+    seconds = {"project": projected - start, "bin": binning, "composite": compositing}
+    left_out = _frame_left_out(
+        (skipped, packed.count), (empty, tiles), kept, (totals[3] - drawn, totals[3])
+    )
+    counts = Counts(visible, drawn, overflowed, seconds, () if everything else left_out)
     return Frame(rgb, transmittance, depth), counts

@@ -120,7 +120,8 @@ typedef int chunk_function(const tsplat_packed *, const tsplat_scene *, const le
                            int, const tsplat_space *, int32_t *, int64_t *);
 
 /* composite_tile(out, records, slots, ids, count, x0, y0, columns, rows): the pixels of one block
- * of columns x rows, at most TILE each, with its top left at x0, y0; 1 if an id is out of range. */
+ * of columns x rows, at most TILE each, with its top left at x0, y0; whether any is open still, or -1
+ * if an id is out of range. */
 typedef int composite_function(const picture *, const record *, int64_t, const int32_t *, int64_t,
                                int32_t, int32_t, int32_t, int32_t);
 
@@ -366,7 +367,7 @@ static picture make_picture(const tsplat_params *params, int32_t width, float *r
     uintptr_t rows = (uintptr_t)rgb | (uintptr_t)transmittance | (uintptr_t)width * 4;
     int stream = rows % 64 == 0 ? 64 : rows % 16 == 0 ? 16 : 0;
     return (picture){rgb, transmittance, depth, width, stream, (float)log2(threshold),
-                     (float)params->transmittance_min};
+                     (float)params->transmittance_min, 0, 1};
 }
 
 int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
@@ -394,8 +395,8 @@ int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
             for (int32_t y = y0; y < y1; y += TILE) /* one block unless the tiles are large */
                 for (int32_t x = x0; x < x1; x += TILE)
                     bad |= best->composite_tile(&out, packed, m, ids, count, x, y,
-                                          (int32_t)min64(TILE, x1 - x),
-                                          (int32_t)min64(TILE, y1 - y));
+                                                (int32_t)min64(TILE, x1 - x),
+                                                (int32_t)min64(TILE, y1 - y)) < 0;
         }
         STREAMED();
     }

@@ -18,6 +18,7 @@ enum {
     TSPLAT_RADIX = 2048,        /* entries of scratch per thread in tsplat_sort */
     TSPLAT_CLUSTER = 256,       /* packed Gaussians that are skipped together */
     TSPLAT_BOUNDS = 8,          /* numbers that bound a cluster */
+    TSPLAT_SLABS = 8,           /* most slabs of depth that a frame is made in */
     TSPLAT_COLUMNS = 12,        /* packed floats per Gaussian, and three more with its colour */
     TSPLAT_BAD_SIZE = 1,        /* a count, a size or a thread number out of range */
     TSPLAT_BAD_ID = 2,          /* an index points outside the array it indexes */
@@ -126,6 +127,7 @@ typedef struct {
     int32_t *steps;             /* [threads, rows + 1, columns + 1] of tiles */
     int64_t *cursors;           /* [threads, T] */
     int64_t *tile_offsets;      /* [T + 1] */
+    uint8_t *closed;            /* [T]: whether all pixels have stopped */
     uint64_t *pairs;            /* [I]: depth's bits, slot */
     uint64_t *scratch;          /* [threads, longest tile] */
     int32_t *ids;               /* [threads, longest tile] */
@@ -147,14 +149,27 @@ int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
                          const tsplat_camera *camera, const tsplat_params *params, int skip,
                          const tsplat_space *space, int64_t *totals, int threads);
 
-/* Lists the pairs of each tile; same packed, camera and threads as before. */
-int tsplat_frame_bin(const tsplat_packed *packed, const tsplat_camera *camera,
-                     const tsplat_space *space, int threads);
+/* Cuts the frame into slabs of depth, the nearest with about share intersections, each further one
+ * with four times as many; to be binned and composited one after the other. bounds [TSPLAT_SLABS + 1]:
+ * depths' bits where they begin, and the end. *count: how many. Opens all tiles. */
+int tsplat_frame_slabs(const tsplat_packed *packed, const tsplat_camera *camera,
+                       const tsplat_space *space, int64_t share, uint32_t *bounds, int32_t *count);
 
-/* Sorts and draws each tile; longest is totals[4]. With skip, tiles without splats are only
- * cleared. */
+/* Counts intersections anew, of splats from near up to far with open tiles. totals [2]:
+ * intersections, those of the fullest tile. */
+int tsplat_frame_count(const tsplat_packed *packed, const tsplat_camera *camera,
+                       const tsplat_space *space, uint32_t near_bits, uint32_t far_bits,
+                       int64_t *totals, int threads);
+
+/* Lists the pairs of each tile as they were counted; a frame in one slab is from 0 to UINT32_MAX.
+ * Same packed, camera and threads as before. */
+int tsplat_frame_bin(const tsplat_packed *packed, const tsplat_camera *camera,
+                     const tsplat_space *space, uint32_t near_bits, uint32_t far_bits, int threads);
+
+/* Sorts and draws each tile; longest as it was counted. With skip, tiles without splats are only
+ * cleared. A slab resumes what nearer ones left and closes tiles, unless it is the last. */
 int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *camera,
-                           const tsplat_params *params, int skip, const tsplat_space *space,
-                           int64_t longest, float *rgb, float *transmittance, float *depth,
-                           int threads);
+                           const tsplat_params *params, int skip, int resume, int last,
+                           const tsplat_space *space, int64_t longest, float *rgb,
+                           float *transmittance, float *depth, int threads);
 #endif

@@ -22,6 +22,8 @@ typedef struct {
     int stream;  /* rows start at a multiple of this many bytes, if it is 16 or 64 */
     float floor; /* log2 of the alpha threshold */
     float stop;  /* the transmittance where a pixel stops */
+    int resume;  /* whether pixels go on from what is there, stopped ones negative */
+    int last;    /* whether this is the last of them; else stopped pixels stay negative */
 } picture;
 
 enum {
@@ -72,11 +74,13 @@ _Alignas(64) static const float BLOCK_Y[] = {ALIKE(1.5f), ALIKE(5.5f), ALIKE(9.5
 _Alignas(64) static const float PIXEL_X[16][16] = {BLOCKS(ACROSS)};
 _Alignas(64) static const float PIXEL_Y[16][16] = {ALIKE(DOWN(0)), ALIKE(DOWN(4)), ALIKE(DOWN(8)), ALIKE(DOWN(12))};
 
-/* An empty tile; pixels beyond columns x rows are stopped from the start. Returns its open blocks. */
-static uint32_t start_tile(tile *s, int32_t columns, int32_t rows) {
+/* A tile to begin or to go on with; pixels beyond columns x rows are stopped from the start. Returns
+ * its open blocks. */
+static uint32_t start_tile(tile *s, const picture *out, int32_t x0, int32_t y0, int32_t columns,
+                           int32_t rows) {
     uint32_t open = 0;
+    int whole = columns == TILE && rows == TILE && !out->resume;
     s->placed[BATCH] = (placed){.factors = {0, 0, 0, -1e9f}};
-    int whole = columns == TILE && rows == TILE;
     for (int k = 0; k < 16; k++) {
         pixels *p = &s->pixels[k];
         for (int i = 0; i < 16; i++) {
@@ -85,17 +89,27 @@ static uint32_t start_tile(tile *s, int32_t columns, int32_t rows) {
         }
         if (whole) continue;
         for (int i = 0; i < 16; i++) {
-            int inside = k % 4 * 4 + i % 4 < columns && k / 4 * 4 + i / 4 < rows;
-            if (!inside) p->t[i] = -1;
-            open |= (uint32_t)inside << k;
+            int x = k % 4 * 4 + i % 4, y = k / 4 * 4 + i / 4;
+            if (x >= columns || y >= rows) {
+                p->t[i] = -1;
+                continue;
+            }
+            if (out->resume) {
+                int64_t at = (int64_t)(y0 + y) * out->width + x0 + x;
+                p->r[i] = out->rgb[3 * at], p->g[i] = out->rgb[3 * at + 1], p->b[i] = out->rgb[3 * at + 2];
+                p->t[i] = out->transmittance[at];
+                if (out->depth) p->z[i] = out->depth[at];
+            }
+            open |= (uint32_t)(p->t[i] > 0) << k;
         }
     }
     return whole ? 0xffff : open;
 }
 
-/* Writes a tile's pixels where they belong. */
-static void finish_tile(const tile *s, const picture *out, int32_t x0, int32_t y0, int32_t columns,
-                        int32_t rows) {
+/* Writes a tile's pixels where they belong; done says whether the tile needs no more splats. */
+static void finish_tile(const tile *s, const picture *out, int done, int32_t x0, int32_t y0,
+                        int32_t columns, int32_t rows) {
+    int32_t mask = done ? 0x7fffffff : -1;
     for (int y = 0; y < rows; y++) {
         for (int x = 0; x < columns; x += 4) {
             const pixels *from = &s->pixels[y / 4 * 4 + x / 4];
@@ -104,7 +118,7 @@ static void finish_tile(const tile *s, const picture *out, int32_t x0, int32_t y
             float *rgb = out->rgb + 3 * place, *t = out->transmittance + place;
             four r = *(const four *)(from->r + at), g = *(const four *)(from->g + at);
             four b = *(const four *)(from->b + at), left = *(const four *)(from->t + at);
-            left = (four)((four_ids)left & 0x7fffffff);
+            left = (four)((four_ids)left & mask);
             if (n == 4) {
                 four rg = __builtin_shuffle(r, g, (four_ids){0, 4, 1, 5});
                 four gb = __builtin_shuffle(g, b, (four_ids){1, 5, 2, 6});
