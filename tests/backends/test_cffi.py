@@ -82,13 +82,15 @@ def test_ids_outside_their_array_are_refused(stages, bad):
         kernel.bin(splats, np.array([0, bad], np.int32), workspace)
 
 
-@pytest.mark.parametrize("size", [1, 5, 16, 17, 64])
-def test_bins_of_any_tile_size_are_composited(stages, size):
-    """A third party's tiles need not be 16 px."""
-    splats, _, workspace = stages
+@pytest.mark.parametrize("width", [21, 48])
+@pytest.mark.parametrize("size", [1, 5, 16, 17, 18, 64])
+def test_bins_of_any_tile_size_are_composited(width, size):
+    """A third party's tiles need not be 16 px, nor begin at a multiple of anything."""
+    scene, camera = gaussians([[0, 0, 4], [0.1, 0, 5]], scales=0.5), straight(width, 37)
+    splats = reference.project(scene, camera, PARAMS)
     bins = reference.bin(splats, reference.sort(splats), tile_size=size)
     want = reference.composite(splats, bins, PARAMS)
-    got = kernel.composite(splats, bins, PARAMS, workspace)
+    got = kernel.composite(splats, bins, PARAMS, Workspace(2))
     np.testing.assert_allclose(got.rgb, want.rgb, atol=1e-5)
 
 

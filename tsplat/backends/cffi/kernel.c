@@ -378,6 +378,7 @@ int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
     int64_t across = ((int64_t)width + tile_size - 1) / tile_size, m = splats->count;
     int64_t down = ((int64_t)height + tile_size - 1) / tile_size;
     picture out = make_picture(params, width, rgb, transmittance, depth);
+    if (tile_size % TILE) out.stream = 0; /* their blocks begin anywhere */
     record *packed = (record *)records;
     int bad = 0;
 #pragma omp parallel num_threads(threads)

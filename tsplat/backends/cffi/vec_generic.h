@@ -4,6 +4,7 @@
 #define LANES 4
 typedef float vf4 __attribute__((vector_size(16)));
 typedef int32_t vi4 __attribute__((vector_size(16)));
+typedef uint32_t vu4 __attribute__((vector_size(16)));
 #define VF vf4
 #define VM vi4
 #define LOAD(p) (*(const vf4 *)(p))
@@ -47,8 +48,8 @@ static inline unsigned bits4(vi4 m) {
 #define ILOAD(p) (*(const vi4 *)(const void *)(p))
 #define ISTORE(p, v) (*(vi4 *)(void *)(p) = (v))
 #define ISET1(x) ((vi4){(x), (x), (x), (x)})
-#define IADD(a, b) ((a) + (b))
-#define IMUL(a, b) ((a) * (b))
+#define IADD(a, b) ((vi4)((vu4)(a) + (vu4)(b))) /* lanes that do not count may overflow */
+#define IMUL(a, b) ((vi4)((vu4)(a) * (vu4)(b)))
 #define TRUNCATE(a) __builtin_convertvector(a, vi4)
 #define COUNT_LESS(n, a, b) ((n) - ((a) < (b))) /* n + 1 where a < b */
 
