@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import statistics
+import time
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from contestants import Contestant
@@ -16,6 +17,7 @@ from tsplat.core.workspace import Workspace
 
 YARDSTICK = "yardstick"
 STABLE = 0.99  # patience ends when no least time falls below this share of what it was
+PAUSE = 0.005  # seconds; idle OpenMP threads spin a while, which the next one should not feel
 PATIENCE = 6  # times the runs asked for
 
 
@@ -50,23 +52,25 @@ def take_turns(
     spaces = {contestant.name: Workspace(threads) for contestant in contestants}
     taken: dict[str, Times] = defaultdict(lambda: Times(defaultdict(list)))
 
-    def turn(note: bool = True) -> None:
+    def turn() -> Iterator[tuple[str, Mapping[str, float]]]:
         for contestant in contestants:
-            seconds = contestant.run(scene, camera, spaces[contestant.name]).seconds
-            if note:
-                for stage, value in seconds.items():
-                    taken[contestant.name].runs[stage].append(value)
+            time.sleep(PAUSE)
+            yield (
+                contestant.name,
+                contestant.run(scene, camera, spaces[contestant.name]).seconds,
+            )
         if rod is not None:
-            _, seconds = rod.frame(scene, camera, threads)
-            if note:
-                for stage, value in seconds.items():
-                    taken[YARDSTICK].runs[stage].append(value)
+            time.sleep(PAUSE)
+            yield YARDSTICK, rod.frame(scene, camera, threads)[1]
 
-    turn(note=False)
+    for _ in turn():
+        pass
     before: dict[str, float] = {}
     for _ in range(PATIENCE if patient else 1):
         for _ in range(runs):
-            turn()
+            for name, seconds in turn():
+                for stage, value in seconds.items():
+                    taken[name].runs[stage].append(value)
         now = {name: times.least for name, times in taken.items()}
         if before and all(now[name] > STABLE * before[name] for name in now):
             break

@@ -21,7 +21,7 @@ from tsplat.core.params import IDEAL, RenderParams
 from tsplat.core.workspace import Workspace
 from tsplat.testing.compare import psnr
 
-SCENE, SIZE, THREADS = "surface:50000", (640, 360), 2
+SCENE, SIZE, THREADS = "surface:50000", (640, 360), 1
 FACTORS = (16, 4, 1, 1 / 4, 1 / 16, 1 / 256)
 """Times both of the contract's thresholds."""
 

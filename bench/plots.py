@@ -11,6 +11,7 @@ from itertools import pairwise
 WIDTH, HEIGHT = 450, 380  # px, of a panel
 LEFT, RIGHT, TOP, BOTTOM = 52, 128, 36, 46  # px round the axes
 LINE = 14  # px between two names
+ENOUGH = 3  # numbers along an axis
 INK, FAINT, PAPER = "#33373d", "#e4e6ea", "#ffffff"
 STYLES = {  # the C kernel in shades of one blue
     "cffi/avx512": ("#0b3d91", ""),
@@ -46,9 +47,12 @@ class Axis:
         if not self.logarithmic:
             step = 10.0 if high - low > 20 else 5.0
             return [step * k for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
-        wide = high / low > 200
-        found = [m * 10.0**e for e in range(-3, 10) for m in ((1,) if wide else (1, 2, 5))]
-        return [value for value in found if low <= value <= high]
+        for steps in ((1,), (1, 2, 5), (1, 1.5, 2, 3, 5, 7)):
+            found = [m * 10.0**e for e in range(-3, 10) for m in steps]
+            found = [value for value in found if low <= value <= high]
+            if len(found) >= ENOUGH:
+                break
+        return found
 
     def place(self, value: float, low: float, high: float) -> float:
         """0 at ``low``, 1 at ``high``."""

@@ -46,10 +46,10 @@ def full() -> list[Case]:
     staged = ("cffi/staged",)
     cases = [Case(f"{kind}:200000", SIZES, also=staged) for kind in ("random", "surface")]
     cases += [Case(f"{kind}:1000000", SIZES, also=staged) for kind in ("random", "surface")]
-    cases.append(Case("stack:5000", LARGE))
+    cases.append(Case("stack:2000", LARGE))
     cases += _real()
     for kind in ("random", "surface"):
         for count in COUNTS:
             also = ("numpy",) if count <= COUNTS[1] else ()
-            cases.append(Case(f"{kind}:{count}", ("1280x720",), (2,), also))
+            cases.append(Case(f"{kind}:{count}", ("1280x720",), (1,), also))
     return cases

@@ -23,7 +23,7 @@ RESULTS = ROOT / "bench" / "results.json"
 YARDSTICK = "yardstick"
 FUSED = ("cffi/avx512", "cffi/avx2", "cffi/generic", "numba")
 DRAWN = (*FUSED, "numpy", YARDSTICK)
-SWEEP_SIZE, SWEEP_COUNT, SWEEP_THREADS = "1280x720", 200_000, 2
+SWEEP_SIZE, SWEEP_COUNT, SWEEP_THREADS = "1280x720", 200_000, 1
 KINDS = ("random", "surface")
 
 Row = dict[str, Any]
@@ -186,10 +186,10 @@ def against_error(error: dict[str, Any]) -> str:
 
 
 def _factor(factor: float) -> str:
-    """×4 or ÷16; the contract's own thresholds have none."""
+    """As x 4 or / 16; the contract's own thresholds have none."""
     if factor == 1:
         return "contract"
-    return f"×{factor:g}" if factor > 1 else f"÷{1 / factor:g}"
+    return f"x {factor:g}" if factor > 1 else f"/ {1 / factor:g}"
 
 
 def put(page: str, name: str, text: str) -> str:
@@ -204,7 +204,7 @@ def main() -> None:
     results = Path(sys.argv[1]) if sys.argv[1:] else RESULTS
     found = json.loads(results.read_text())
     rows = found["rows"]
-    # sweeps are for the charts, and for their two threads
+    # the other counts are for the charts
     tabled = [r for r in rows if r["gaussians"] not in set(COUNTS) or r["scene"].endswith(".ply")]
     page = PAGE.read_text()
     for name, text in (
