@@ -61,8 +61,10 @@ class Bench:
         self._progress.update(self._task, total=total)
 
     def step(self, text: str) -> None:
-        """What is done now."""
+        """What is done now; a line of its own where no bar can be drawn."""
         self._progress.update(self._task, description=text, advance=1)
+        if not self._progress.console.is_terminal:
+            self.say(text)
 
     def look_at_machine(self) -> None:
         """Measures its limits once more: the best that was ever seen counts."""

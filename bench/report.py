@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+import statistics
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -76,8 +77,12 @@ def machine_table(found: dict[str, Any]) -> str:
         for threads, limit in found["limits"].items()
     ]  # fmt: skip
     headings = ["threads", "GB/s read", "GB/s written", *(f"{s}, 10⁹ lanes/s" for s in sets)]
-    took = f"{found['processor']}; the whole run took {found['minutes']:.0f} minutes."
-    return took + "\n\n" + table(headings, lines)
+    spread = statistics.median(r["spread"] for r in found["rows"])
+    said = (
+        f"{found['processor']}. Minima of {found['runs']} runs, of which the middle half spans "
+        f"{spread:.0%} of the minimum (median of all rows); {found['minutes']:.0f} minutes in all."
+    )
+    return said + "\n\n" + table(headings, lines)
 
 
 def ratio_table(rows: list[Row]) -> str:
@@ -144,12 +149,13 @@ def error_table(error: dict[str, Any]) -> str:
 
 
 def lines_of(rows: list[Row], key: Any) -> list[Series]:
-    """A line for each contestant that has points enough, with its slope."""
+    """A line for each contestant that has two points, with its slope if there are more."""
     found = []
     for name in present(rows, DRAWN):
         points = sorted((key(r), r["ms"]["total"]) for r in rows if r["backend"] == name)
         if len(points) > 1:
-            found.append(Series(name, points, f"{slope(points):.2f}"))
+            straight = len(points) > 2
+            found.append(Series(name, points, f"{slope(points):.2f}" if straight else ""))
     return found
 
 
@@ -203,6 +209,8 @@ def put(page: str, name: str, text: str) -> str:
 def main() -> None:
     results = Path(sys.argv[1]) if sys.argv[1:] else RESULTS
     found = json.loads(results.read_text())
+    if found["error"] is None:
+        sys.exit(f"{results}: not all that the page shows; expected what frames.py --full writes")
     rows = found["rows"]
     # the other counts are for the charts
     tabled = [r for r in rows if r["gaussians"] not in set(COUNTS) or r["scene"].endswith(".ply")]

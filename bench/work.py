@@ -27,7 +27,7 @@ from tsplat.core.types import Scene
 from tsplat.core.workspace import Workspace
 
 OPERATIONS = 18
-"""Vector operations that an evaluation takes: exponent 6, power of two 7, blending 5."""
+"""Vector operations that an evaluation takes: exponent 5, power of two 8, blending 5."""
 
 COLUMNS, COLOR = 48, 12  # bytes of a packed Gaussian, see pack.h; its colour where degree is 0
 RECORD, BOX, PAIR, PIXEL = 64, 12, 8, 16  # bytes, see kernel.h; a box has its depth with it
