@@ -19,7 +19,6 @@ from machine import Limits
 from numba import njit
 
 import tsplat
-from tsplat.backends.numba_kernels.composite import UNIT
 from tsplat.core.camera import Camera
 from tsplat.core.constants import ALPHA_MAX
 from tsplat.core.stages import STAGES
@@ -32,6 +31,7 @@ OPERATIONS = 18
 COLUMNS, COLOR = 48, 12  # bytes of a packed Gaussian, see pack.h; its colour where degree is 0
 RECORD, BOX, PAIR, PIXEL = 64, 12, 8, 16  # bytes, see kernel.h; a box has its depth with it
 BLOCK = 4  # px
+UNIT = math.sqrt(0.5 / math.log(2))  # exp(-sigma) = 2^-(w^2 + v^2), w and v times this
 
 
 @dataclass(frozen=True)
