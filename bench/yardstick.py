@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from tsplat.core.camera import Camera
-from tsplat.core.types import Scene
+from tsplat.core.types import Frame, Scene
 
 SH_C0 = 0.28209479177387814
 
@@ -28,17 +28,17 @@ class Yardstick:
         spec.loader.exec_module(module)
         self._baseline = module.Baseline()
 
-    def seconds(self, scene: Scene, camera: Camera, threads: int) -> dict[str, float]:
-        """One frame's seconds per stage and in total."""
+    def frame(self, scene: Scene, camera: Camera, threads: int) -> tuple[Frame, dict[str, float]]:
+        """A picture, and its seconds per stage and in total."""
         view = camera.viewmat.copy()
         view[:3, 3] += camera.rotation @ scene.origin
         colors = np.clip(0.5 + SH_C0 * scene.sh[:, 0], 0, 1)
-        _, seconds = self._baseline.frame(
+        rgba, seconds = self._baseline.frame(
             scene.means, scene.quats, scene.scales, colors, scene.opacities,
             view, camera.K, camera.width, camera.height, threads,
         )  # fmt: skip
         del seconds["visible"]
-        return seconds
+        return Frame(rgba[..., :3], 1 - rgba[..., 3]), seconds
 
 
 def find() -> Yardstick | None:

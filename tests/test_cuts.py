@@ -61,7 +61,7 @@ def without(rendered: Rendered, word: str) -> bool:
 @settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**16),
-    eye=st.tuples(*[st.floats(-40, 40, width=16)] * 3),
+    eye=st.tuples(*[st.floats(-40, 40)] * 3),
     fov=st.sampled_from([5.0, 40.0, 60.0, 110.0]),
 )
 def test_clusters_out_of_sight_are_skipped_and_no_bit_moves(seed, eye, fov):
@@ -202,24 +202,24 @@ def test_tiles_that_all_have_splats_are_not_called_empty():
 
 @settings(max_examples=15)
 @given(
-    seed=st.integers(0, 2**16), width=st.integers(20, 70), height=st.integers(20, 70),
+    seed=st.integers(0, 2**16), width=st.integers(50, 90), height=st.integers(50, 90),
     most=st.sampled_from([0.02, 0.3, 1.0]), depth=st.booleans(), threads=st.integers(1, 2),
 )  # fmt: skip
 def test_a_crowded_frame_is_made_in_slabs_and_no_bit_moves(
     seed, width, height, most, depth, threads
 ):
-    """Opaque, half opaque and thin crowds, some of equal depth; pixels go on where they were left."""
+    """Opaque, half opaque and thin crowds, some of equal depth; pixels go on where they were."""
     rng = np.random.default_rng(seed)
-    scene = cloud(seed, 2500, spread=3, opacities=rng.uniform(0.01, most, 2500))
+    scene = cloud(seed, 4000, spread=3, opacities=rng.uniform(0.01, most, 4000))
     means = scene.means.copy()
     means[:500, 2] = np.round(means[:500, 2])
-    scene = replace(scene, means=means, scales=np.maximum(scene.scales, 1))
+    scene = replace(scene, means=means, scales=np.maximum(scene.scales, 3))
     params = RenderParams(depth=depth)
     camera = camera_at((0, 0, -12), (0, 0, 0), width, height, fov=30)
     cut = make_plan(scene, threads=threads, params=params)
     full = make_plan(scene, threads=1, params=params, everything=True)
     got, want = cut.run(scene, camera), full.run(scene, camera)
-    assert want.intersections > 1024 * (-(-width // 16)) * (-(-height // 16)) * 2
+    assert want.intersections > 1024 * (-(-width // 16)) * (-(-height // 16))
     assert same_bits(got, want)
     if depth:
         assert got.frame.depth.tobytes() == want.frame.depth.tobytes()

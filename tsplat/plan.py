@@ -79,7 +79,9 @@ class Plan:
         begin = clock()
         if self.fused is not None:
             workspace.known["order"] = None  # it may use the memory
-            frame, counts = self.fused(scene, camera, self.params, workspace, self.everything)
+            frame, counts = self.fused(
+                scene, camera, self.params, workspace, everything=self.everything
+            )
             seconds = {**counts.seconds, "total": clock() - begin}
             return Rendered(
                 frame, counts.visible, counts.intersections, counts.overflowed, seconds,

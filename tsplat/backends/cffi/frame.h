@@ -67,7 +67,7 @@ int tsplat_frame_project(const tsplat_packed *packed, const tsplat_scene *scene,
     int64_t visible = 0, overflowed = 0, skipped = 0, kept = 0;
     if (n < 0 || n > scene->count || tiles < 1 || threads < 1) return TSPLAT_BAD_SIZE;
     if (across > INT16_MAX || down > INT16_MAX) return TSPLAT_BAD_SIZE;
-    if ((params->sh_degree + 1) * (params->sh_degree + 1) > scene->coefficients ||
+    if (bad_degree(params->sh_degree, scene->coefficients) ||
         (params->sh_degree && packed->width != TSPLAT_COLUMNS))
         return TSPLAT_BAD_SIZE;
     lens lens = make_lens(camera, params);

@@ -129,7 +129,6 @@ def fused(
     rgb = workspace.array("cffi.rgb", (height, width, 3), np.float32)
     transmittance = workspace.array("cffi.transmittance", (height, width), np.float32)
     depth = workspace.array("cffi.depth", (height, width), np.float32) if params.depth else None
-    picture = [pointer(a, "float") for a in (rgb, transmittance, depth)]
     bounds, slabs = [0, FAR_BITS], 1
     crowded = intersections > max(CROWDED_TILES * tiles, CROWDED_SPLATS * visible)
     if crowded and not everything:
@@ -156,7 +155,8 @@ def fused(
         check(
             lib.tsplat_frame_composite(
                 struct, eye, how, not everything, slab > 0, slab == slabs - 1, space, longest,
-                *picture, threads,
+                pointer(rgb, "float"), pointer(transmittance, "float"), pointer(depth, "float"),
+                threads,
             ),
             "composite",
         )  # fmt: skip

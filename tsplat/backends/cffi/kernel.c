@@ -76,6 +76,10 @@ static lens make_lens(const tsplat_camera *c, const tsplat_params *p) {
     return out;
 }
 
+static int bad_degree(int32_t degree, int32_t coefficients) {
+    return degree < 0 || degree > SH_DEGREE_MAX || (degree + 1) * (degree + 1) > coefficients;
+}
+
 static inline float half_to_float(uint16_t half) {
     uint32_t magnitude = half & 0x7fff, bits = (uint32_t)(half & 0x8000) << 16;
     float value = (float)magnitude * 0x1p-24f; /* below the normal halves */
@@ -188,8 +192,7 @@ int tsplat_project(const tsplat_scene *scene, const tsplat_camera *camera,
                    int64_t *totals, int threads) {
     int64_t n = scene->count, chunks = (n + CHUNK - 1) / CHUNK, visible = 0, overflowed = 0;
     if (n < 0 || n > INT32_MAX || threads < 1) return TSPLAT_BAD_SIZE;
-    if ((params->sh_degree + 1) * (params->sh_degree + 1) > scene->coefficients)
-        return TSPLAT_BAD_SIZE;
+    if (bad_degree(params->sh_degree, scene->coefficients)) return TSPLAT_BAD_SIZE;
     lens lens = make_lens(camera, params);
     int group = best->lanes;
 #pragma omp parallel for schedule(dynamic, 1) num_threads(threads) if (n > WORTH) \
@@ -303,7 +306,8 @@ static inline void tile_span(double low, double high, int32_t size, int32_t *fir
 
 int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int32_t *boxes,
                      int64_t *tile_offsets, int64_t *cursors, int threads) {
-    int64_t across = (splats->width + TILE - 1) / TILE, down = (splats->height + TILE - 1) / TILE;
+    int64_t across = ((int64_t)splats->width + TILE - 1) / TILE;
+    int64_t down = ((int64_t)splats->height + TILE - 1) / TILE;
     int64_t tiles = across * down, m = splats->count;
     int bad = 0;
     if (tiles < 1 || m < 0 || m > INT32_MAX || threads < 1) return TSPLAT_BAD_SIZE;
@@ -344,7 +348,8 @@ int tsplat_bin_count(const tsplat_splats *splats, const int32_t *order, int32_t 
 
 int tsplat_bin_fill(const tsplat_splats *splats, const int32_t *order, const int32_t *boxes,
                     int64_t *cursors, int32_t *splat_ids, int threads) {
-    int64_t across = (splats->width + TILE - 1) / TILE, down = (splats->height + TILE - 1) / TILE;
+    int64_t across = ((int64_t)splats->width + TILE - 1) / TILE;
+    int64_t down = ((int64_t)splats->height + TILE - 1) / TILE;
     int64_t tiles = across * down, m = splats->count;
 #pragma omp parallel for schedule(static, 1) num_threads(threads) if (m > WORTH)
     for (int t = 0; t < threads; t++) {

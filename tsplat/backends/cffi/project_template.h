@@ -223,7 +223,7 @@ TARGET static int NAME(project_chunk)(const tsplat_packed *packed, const tsplat_
     _Alignas(64) int32_t first_tile[LANES], last_tile[LANES], corner[4][LANES];
     record *records = (record *)(void *)to->records + first;
     box *boxes = (box *)(void *)to->boxes + first;
-    VF half = SET1(0.5f), zero = SET1(0.0f), per_tile = SET1(1.0f / TILE);
+    VF half = SET1(0.5f), zero = SET1(0.0f), minus = SET1(-1.0f), per_tile = SET1(1.0f / TILE);
     VF right = SET1((float)(lens->width - 1)), bottom = SET1((float)(lens->height - 1));
     VI stride = ISET1((lens->width + TILE - 1) / TILE + 1);
     int used = 0;
@@ -238,10 +238,10 @@ TARGET static int NAME(project_chunk)(const tsplat_packed *packed, const tsplat_
         if (lens->sh_degree) fetch_sh(s, packed, first + i + LANES, LANES);
         /* the tiles with pixels whose centres its box holds */
         VF x = JOIN(g.mean_x[0], g.mean_x[1]), y = JOIN(g.mean_y[0], g.mean_y[1]);
-        VF x0 = MAX(CEIL(SUB(SUB(x, g.radius_x), half)), zero);
-        VF y0 = MAX(CEIL(SUB(SUB(y, g.radius_y), half)), zero);
-        VF x1 = MIN(FLOOR(SUB(ADD(x, g.radius_x), half)), right);
-        VF y1 = MIN(FLOOR(SUB(ADD(y, g.radius_y), half)), bottom);
+        VF x0 = MIN(MAX(CEIL(SUB(SUB(x, g.radius_x), half)), zero), right);
+        VF y0 = MIN(MAX(CEIL(SUB(SUB(y, g.radius_y), half)), zero), bottom);
+        VF x1 = MIN(MAX(FLOOR(SUB(ADD(x, g.radius_x), half)), minus), right);
+        VF y1 = MIN(MAX(FLOOR(SUB(ADD(y, g.radius_y), half)), minus), bottom);
         seen &= BITS(LE(x0, x1)) & BITS(LE(y0, y1));
         if (!seen) continue;
         VI u0 = TRUNCATE(MUL(x0, per_tile)), v0 = TRUNCATE(MUL(y0, per_tile));

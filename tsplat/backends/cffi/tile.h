@@ -1,6 +1,6 @@
 /* A tile while it is drawn: what the composite templates share. */
 
-typedef float four __attribute__((vector_size(16), aligned(4)));
+typedef float four __attribute__((vector_size(16), aligned(4), may_alias));
 typedef int32_t four_ids __attribute__((vector_size(16)));
 typedef double four_doubles __attribute__((vector_size(32)));
 

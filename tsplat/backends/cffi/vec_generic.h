@@ -29,7 +29,8 @@ typedef uint32_t vu4 __attribute__((vector_size(16)));
 #define FLOOR(a) floor4(a)
 #define CEIL(a) (-floor4(-(a)))
 #define FRACTION(x) ((x) - floor4(x))
-#define SCALE(m, p, x) ((vf4)(((vi4)(p) + (whole4(x) << 23)) & (m))) /* 2^floor(x) p where m, else 0 */
+#define SCALE(m, p, x) /* 2^floor(x) p where m, else 0 */ \
+    ((vf4)(((vu4)(p) + ((vu4)whole4(x) << 23)) & (vu4)(m)))
 
 /* floor(a), of small numbers only. */
 static inline vi4 whole4(vf4 a) {
