@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from tsplat.core.errors import KernelError, SceneError
 from tsplat.core.params import RenderParams
 from tsplat.core.types import Bins
 from tsplat.core.workspace import Workspace
+from tsplat.plan import make_plan
 
 PARAMS = RenderParams()
 
@@ -117,3 +119,21 @@ def test_a_steady_view_allocates_no_buffers():
         return kernel.composite(splats, bins, PARAMS, workspace).rgb.ctypes.data, workspace.nbytes
 
     assert frame() == frame()
+
+
+def test_a_steady_view_allocates_nothing():
+    """A second round past the same views asks for no memory but Python's small change."""
+    rng = np.random.default_rng(0)
+    scene = gaussians(rng.normal((0, 0, 8), 1, (3000, 3)), sh=rng.normal(0, 0.3, (3000, 4, 3)))
+    plan, workspace = make_plan(scene, backend="cffi", threads=2), Workspace(2)
+    cameras = [straight(200, 120, focal=f) for f in np.linspace(100, 300, 12)]
+    for camera in cameras:
+        plan.run(scene, camera, workspace)
+    held = workspace.nbytes
+    tracemalloc.start()
+    for camera in cameras:
+        plan.run(scene, camera, workspace)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert workspace.nbytes == held
+    assert peak < 20_000  # the picture alone has 384,000 bytes

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import termios
 import time
+from pathlib import Path
 
 from tests.conftest import ROOT, hear_signals
 
@@ -52,6 +53,12 @@ class Session:
             for question in asked[self.answered :]:
                 os.write(self.master, b"\x1b[0n" if question == DSR else b"\x1b[?62;22c")
             self.answered = len(asked)
+
+    def cpu_seconds(self):
+        """Processor time of all the viewer's threads so far."""
+        stat = Path(f"/proc/{self.process.pid}/stat").read_text()
+        fields = stat.rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def frames(self):
         """Pictures asked to be acknowledged so far."""

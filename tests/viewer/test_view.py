@@ -36,11 +36,12 @@ def test_keys_move_the_camera_and_q_gives_the_terminal_back(session):
 
 
 def test_nothing_is_written_while_nothing_changes(session):
-    """An idle view is silent."""
+    """An idle view is silent, and rests: its threads take no processor time worth counting."""
     time.sleep(0.3)
     session.pump(lambda: not select.select([session.master], [], [], 0.1)[0])
-    before = session.output
+    before, spent = session.output, session.cpu_seconds()
     time.sleep(0.5)
+    assert session.cpu_seconds() - spent <= 0.05  # a thread that spins takes ten times as long
     assert not select.select([session.master], [], [], 0)[0]
     assert session.output == before
     session.press(b"q")

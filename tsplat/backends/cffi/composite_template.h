@@ -56,54 +56,69 @@ TARGET static inline VF NAME(alpha)(VF x, VF floor_) {
     return MIN(alpha, SET1((float)ALPHA_MAX));
 }
 
-/* Draws the listed splats on LANES pixels of each block. Returns the blocks where a pixel is open
- * still. */
+/* Draws the listed splats on some rows of each block, WIDE vectors of pixels at a time: broadcasts
+ * serve them all. Returns the blocks where a pixel is open still. */
+#define EACH for (int h = 0; h < WIDE; h++)
 TARGET static inline uint32_t NAME(draw)(tile *s, int at, VF floor_, VF stop, int want_depth) {
     const uint32_t *list = s->list;
     uint32_t open = 0;
-    VF x = NAME(exponent)(s, list[1], at), sign = SET1(-0.0f), zero = SET1(0.0f);
-    VF alpha = NAME(alpha)(NAME(exponent)(s, list[0], at), floor_);
+    VF x[WIDE], alpha[WIDE], t[WIDE], r[WIDE], g[WIDE], b[WIDE], z[WIDE];
+    VF sign = SET1(-0.0f), zero = SET1(0.0f);
+    EACH x[h] = NAME(exponent)(s, list[1], at + h * LANES);
+    EACH alpha[h] = NAME(alpha)(NAME(exponent)(s, list[0], at + h * LANES), floor_);
     for (int block = 0, i = 0; block < 16; block++) {
         int count = s->ends[block];
         pixels *to = &s->pixels[block];
-        VF t = LOAD(to->t + at), z = zero;
-        if (i == count) {
-            open |= (uint32_t)(BITS(GE(t, zero)) != 0) << block;
-            continue;
-        }
-        VF r = LOAD(to->r + at), g = LOAD(to->g + at), b = LOAD(to->b + at);
-        if (want_depth) z = LOAD(to->z + at);
-        for (;;) {
-            int end = count - i < LOOK ? count : i + LOOK;
-            for (; i < end; i++) {
-                const placed *p = (const placed *)(const void *)((const char *)s->placed + list[i] % 65536);
-                VF next = FNMA(t, alpha, t);
-                VM drawn = GT(next, stop);
-                VF weight = KEEP(drawn, MUL(t, alpha));
-                alpha = NAME(alpha)(x, floor_);
-                x = NAME(exponent)(s, list[i + 2], at);
-                t = PICK(drawn, next, OR(t, sign));
-                r = FMA(weight, SET1(p->r), r);
-                g = FMA(weight, SET1(p->g), g);
-                b = FMA(weight, SET1(p->b), b);
-                if (want_depth) z = FMA(weight, SET1(p->z), z);
+        unsigned some = 0;
+        EACH t[h] = LOAD(to->t + at + h * LANES);
+        if (i < count) {
+            EACH {
+                int k = at + h * LANES;
+                r[h] = LOAD(to->r + k), g[h] = LOAD(to->g + k), b[h] = LOAD(to->b + k);
+                z[h] = want_depth ? LOAD(to->z + k) : zero;
             }
-            if (i == count) break;
-            if (BITS(GE(t, zero))) continue;
-            i = count; /* the rest of its splats is hidden */
-            alpha = NAME(alpha)(NAME(exponent)(s, list[i], at), floor_);
-            x = NAME(exponent)(s, list[i + 1], at);
-            break;
+            for (;;) {
+                int end = count - i < LOOK ? count : i + LOOK;
+                for (; i < end; i++) {
+                    const placed *p = (const placed *)(const void *)((const char *)s->placed + list[i] % 65536);
+                    EACH {
+                        VF next = FNMA(t[h], alpha[h], t[h]);
+                        VM drawn = GT(next, stop);
+                        VF weight = KEEP(drawn, MUL(t[h], alpha[h]));
+                        alpha[h] = NAME(alpha)(x[h], floor_);
+                        x[h] = NAME(exponent)(s, list[i + 2], at + h * LANES);
+                        t[h] = PICK(drawn, next, OR(t[h], sign));
+                        r[h] = FMA(weight, SET1(p->r), r[h]);
+                        g[h] = FMA(weight, SET1(p->g), g[h]);
+                        b[h] = FMA(weight, SET1(p->b), b[h]);
+                        if (want_depth) z[h] = FMA(weight, SET1(p->z), z[h]);
+                    }
+                }
+                if (i == count) break;
+                some = 0;
+                EACH some |= BITS(GE(t[h], zero));
+                if (some) continue;
+                i = count; /* the rest of its splats is hidden */
+                EACH alpha[h] = NAME(alpha)(NAME(exponent)(s, list[i], at + h * LANES), floor_);
+                EACH x[h] = NAME(exponent)(s, list[i + 1], at + h * LANES);
+                break;
+            }
+            EACH {
+                int k = at + h * LANES;
+                STORE(to->t + k, t[h]);
+                STORE(to->r + k, r[h]);
+                STORE(to->g + k, g[h]);
+                STORE(to->b + k, b[h]);
+                if (want_depth) STORE(to->z + k, z[h]);
+            }
         }
-        open |= (uint32_t)(BITS(GE(t, zero)) != 0) << block;
-        STORE(to->t + at, t);
-        STORE(to->r + at, r);
-        STORE(to->g + at, g);
-        STORE(to->b + at, b);
-        if (want_depth) STORE(to->z + at, z);
+        some = 0;
+        EACH some |= BITS(GE(t[h], zero));
+        open |= (uint32_t)(some != 0) << block;
     }
     return open;
 }
+#undef EACH
 
 /* Draws a batch on the open blocks, and returns those that are still open. */
 TARGET static inline uint32_t NAME(draw_batch)(tile *s, int count, uint32_t open, VF floor_, VF stop,
@@ -114,7 +129,7 @@ TARGET static inline uint32_t NAME(draw_batch)(tile *s, int count, uint32_t open
         s->ends[block] = (int)found;
     }
     s->list[found] = s->list[found + 1] = BATCH * sizeof(placed);
-    for (int k = 0; k < 16; k += LANES) still |= NAME(draw)(s, k, floor_, stop, want_depth);
+    for (int k = 0; k < 16; k += WIDE * LANES) still |= NAME(draw)(s, k, floor_, stop, want_depth);
     return still;
 }
 

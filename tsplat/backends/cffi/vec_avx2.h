@@ -2,6 +2,7 @@
 #define NAME(f) f##_avx2
 #define TARGET __attribute__((target("avx2,fma,f16c,bmi,bmi2,lzcnt,popcnt")))
 #define LANES 8
+#define WIDE 2
 #define VF __m256
 #define VM __m256
 #define LOAD(p) _mm256_load_ps(p)

@@ -2,6 +2,7 @@
 #define NAME(f) f##_avx512
 #define TARGET __attribute__((target("avx512f,avx512dq,avx512bw,avx512vl,avx2,fma,f16c,bmi,bmi2,lzcnt,popcnt")))
 #define LANES 16
+#define WIDE 1
 #define VF __m512
 #define VM __mmask16
 #define LOAD(p) _mm512_load_ps(p)

@@ -2,6 +2,7 @@
 #define NAME(f) f##_generic
 #define TARGET
 #define LANES 4
+#define WIDE 1
 typedef float vf4 __attribute__((vector_size(16)));
 typedef int32_t vi4 __attribute__((vector_size(16)));
 typedef uint32_t vu4 __attribute__((vector_size(16)));

@@ -2,6 +2,7 @@
 #undef NAME
 #undef TARGET
 #undef LANES
+#undef WIDE
 #undef VF
 #undef VM
 #undef LOAD
