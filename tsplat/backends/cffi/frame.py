@@ -120,11 +120,12 @@ def fused(
     projected = clock()
     visible, overflowed, skipped, intersections, longest, empty, kept = totals
     pairs = workspace.array("cffi.frame.pairs", (intersections,), np.uint64)
-    scratch = workspace.array("cffi.frame.scratch", (threads, longest), np.uint64)
-    ids = workspace.array("cffi.frame.ids", (threads, longest), np.int32)
-    space.pairs, space.scratch = pointer(pairs, "uint64_t"), pointer(scratch, "uint64_t")
-    space.ids = pointer(ids, "int32_t")
+    space.pairs = pointer(pairs, "uint64_t")
     check(lib.tsplat_frame_bin(struct, eye, space, threads), "bin")
+    # where boxes and depths were, which have served
+    scratch = workspace.array("cffi.frame.boxes", (threads, longest), np.uint64)
+    ids = workspace.array("cffi.frame.depths", (threads, longest), np.int32)
+    space.scratch, space.ids = pointer(scratch, "uint64_t"), pointer(ids, "int32_t")
     binned = clock()
     rgb = workspace.array("cffi.rgb", (height, width, 3), np.float32)
     transmittance = workspace.array("cffi.transmittance", (height, width), np.float32)

@@ -84,7 +84,7 @@ def _order(scene: Scene, threshold: float, threads: int) -> I32:
     """Rows that can reach ``threshold`` [count], along the curve."""
     if scene.numbers is not None:  # the loader moved them there
         seen = scene.opacities >= np.float32(max(threshold, ALPHA_FLOOR))
-        return np.flatnonzero(seen).astype(np.int32)
+        return np.arange(len(seen), dtype=np.int32)[seen]
     n = len(scene)
     sample = scene.means[:: max(n // SAMPLE, 1)]
     low, high = np.zeros(3, np.float32), np.zeros(3, np.float32)
