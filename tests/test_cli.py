@@ -141,8 +141,9 @@ def test_render_json_has_the_promised_keys(ply, camera_file, tmp_path):
     assert facts["dropped"] == {}
     assert 0 < facts["visible"] <= 300
     assert facts["intersections"] > 0
-    assert set(facts["seconds"]) == {"load", "total", *stages}
-    assert set(facts["seconds_median"]) == {"total", *stages}
+    assert facts["fused"] == ["sort"]  # tile by tile, where they are composited
+    assert set(facts["seconds"]) == {"load", "total", "project", "bin", "composite"}
+    assert set(facts["seconds_median"]) == {"total", "project", "bin", "composite"}
     assert facts["seconds"]["total"] <= facts["seconds_median"]["total"]
     assert {"what", "why", "effect"} == set(facts["left_out"][0])
 
