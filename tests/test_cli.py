@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ import pytest
 from PIL import Image
 
 from tests.conftest import ROOT, gaussians, straight
+from tsplat.commands.info import describe
 from tsplat.core import reference
 from tsplat.core.params import RenderParams
 from tsplat.io.cameras import camera_to_json
+from tsplat.plan import make_plan
 
 CAMERA = straight(64, 48, 50.0)
 
@@ -171,9 +174,19 @@ def test_info_describes_the_file(ply):
     assert facts["gaussians"] == 300
     assert facts["sh_degree"] == 1
     assert facts["backend"]["sort"] == "cffi"
+    assert facts["rows"] == "in the file's order"
     text = tsplat("info", ply).stdout.decode()
+    assert "in the file's order" in text
     assert "300" in text
     assert "content" in text
+
+
+def test_info_says_where_rows_lie(scene):
+    """A scene whose rows were moved is said to lie along the curve; numbers take memory too."""
+    moved = replace(scene, numbers=np.arange(len(scene), dtype=np.int32))
+    facts, before = (describe(one, make_plan(one)) for one in (moved, scene))
+    assert facts["rows"] == "along a space-filling curve"
+    assert facts["bytes"] - before["bytes"] == 4 * len(scene)
 
 
 def test_info_says_how_far_off_colours_are(ply):

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from tsplat.core.errors import TsplatError
     from tsplat.core.params import IDEAL, RenderParams
     from tsplat.core.stages import Backend, Counts, Stages
+    from tsplat.core.ties import break_ties
     from tsplat.core.types import Bins, Frame, Scene, Splats
     from tsplat.core.workspace import Workspace
     from tsplat.demo import demo_scene
@@ -37,6 +38,7 @@ _HOMES = {
     "tsplat.core.errors": ("TsplatError",),
     "tsplat.core.params": ("IDEAL", "RenderParams"),
     "tsplat.core.stages": ("Backend", "Counts", "Stages"),
+    "tsplat.core.ties": ("break_ties",),
     "tsplat.core.types": ("Bins", "Frame", "Scene", "Splats"),
     "tsplat.core.workspace": ("Workspace",),
     "tsplat.demo": ("demo_scene",),
@@ -70,6 +72,7 @@ __all__ = [
     "TsplatError",
     "Workspace",
     "__version__",
+    "break_ties",
     "demo_scene",
     "frame_scene",
     "hookimpl",

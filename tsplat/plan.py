@@ -12,6 +12,7 @@ from tsplat.core.camera import Camera
 from tsplat.core.errors import PluginError, printable
 from tsplat.core.params import RenderParams
 from tsplat.core.stages import STAGES, Backend, Fused, LeftOut, Stages
+from tsplat.core.ties import same_numbers
 from tsplat.core.types import F16, F32, I32, Frame, Scene, Splats
 from tsplat.core.workspace import Workspace, default_threads
 from tsplat.plugins import Registry, ask, load_backend, plugins
@@ -111,16 +112,22 @@ class Plan:
     def _sorted(self, splats: Splats, workspace: Workspace) -> tuple[I32, tuple[LeftOut, ...]]:
         """The order of ``splats``; the last one if it must be the same.
 
-        A sort sees depths and nothing else: same depths, same order. They are the same where the
-        same Gaussians are seen from the same place: after a zoom or a change of size.
+        A sort sees depths and numbers and nothing else: if they are the same, so is the order. They
+        are where the same Gaussians are seen from the same place: after a zoom or a change of size.
         """
         sort = self.stages.sort
         assert sort is not None
         last = workspace.known.get("order")
-        if last and last[0] is sort and np.array_equal(last[1], splats.depths):
-            return last[2], (LeftOut("sorting", "depths are those of the last frame"),)
+        if (
+            last
+            and last[0] is sort
+            and np.array_equal(last[1], splats.depths)
+            and same_numbers(last[2], splats.numbers)
+        ):
+            return last[3], (LeftOut("sorting", "depths are those of the last frame"),)
         order = sort(splats, workspace)
-        workspace.known["order"] = None if self.everything else (sort, splats.depths.copy(), order)
+        kept = sort, splats.depths.copy(), splats.numbers, order
+        workspace.known["order"] = None if self.everything else kept
         return order, ()
 
 

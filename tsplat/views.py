@@ -15,10 +15,12 @@ from numpy.typing import ArrayLike
 from tsplat.core.camera import Camera, Orbit
 from tsplat.core.constants import FAR, NEAR
 from tsplat.core.errors import CameraError
-from tsplat.core.types import F64, Scene
+from tsplat.core.types import F64, I64, Scene
 
 SAMPLE = 32_768
 """Gaussians looked at; a percentile of that many is within 0.6 % of the whole scene's."""
+
+GOLDEN = (math.sqrt(5) - 1) / 2
 
 CORE = 0.9
 """Share of all opacity that is content for sure; the rest counts if it is near that."""
@@ -59,9 +61,7 @@ def scene_extent(scene: Scene) -> Extent:
     The same scene gives the same extent on every run. A scene without Gaussians has a ball of
     radius 1 about its origin.
     """
-    rows = np.arange(len(scene))
-    if len(scene) > SAMPLE:
-        rows = np.random.default_rng(0).choice(len(scene), SAMPLE, replace=False)
+    rows = _sample(len(scene))
     means = scene.means[rows].astype(np.float64)
     weights = scene.opacities[rows].astype(np.float64)
     if not len(means):
@@ -79,6 +79,17 @@ def scene_extent(scene: Scene) -> Extent:
     points = (means[inside] if inside.any() else np.stack([lowest, highest])) - centre
     radius = float(np.sqrt((points**2).sum(1)).max()) + blur
     return Extent(scene.origin + centre, radius if radius > 0 else 1.0, points, blur)
+
+
+def _sample(count: int) -> I64:
+    """SAMPLE rows of ``count``, spread evenly but without a period; all of fewer.
+
+    Multiples of the golden ratio do for that; numpy.random would bring 7 MB into memory.
+    """
+    if count <= SAMPLE:
+        return np.arange(count)
+    place = np.arange(SAMPLE)
+    return ((place + place * GOLDEN % 1) * (count / SAMPLE)).astype(np.int64)
 
 
 def _quantiles(values: F64, weights: F64, *shares: float) -> F64:

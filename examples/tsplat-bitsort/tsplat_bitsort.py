@@ -2,15 +2,16 @@
 
 import numpy as np
 
-from tsplat import Backend, Splats, Stages, Workspace, hookimpl
+from tsplat import Backend, Splats, Stages, Workspace, break_ties, hookimpl
 
 
 def sort(splats: Splats, workspace: Workspace) -> np.ndarray:
     """See tsplat.core.stages.Sort. Positive float32s order like their bits."""
     keys = splats.depths.view(np.uint32).astype(np.uint64) << np.uint64(32)
-    keys |= np.arange(len(splats), dtype=np.uint64)  # equal depths keep scene order
+    keys |= np.arange(len(splats), dtype=np.uint64)
     keys.sort()
-    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int32)
+    order = (keys & np.uint64(0xFFFFFFFF)).astype(np.int32)
+    return break_ties(order, splats.depths, splats.numbers)
 
 
 BITSORT = Backend(

@@ -23,6 +23,7 @@ from tsplat.core.workspace import Workspace
         ({"opacities": [0.5, 0.5]}, "got list"),
         ({"sh": np.zeros((2, 5, 3), np.float32)}, "1, 4, 9 or 16"),
         ({"sh": np.zeros((2, 4, 3))}, r"float32 \[2, K, 3\], got float64 .* float16 will do too"),
+        ({"numbers": np.arange(2)}, r"Scene.numbers: .* int32 \[2\], got int64"),
         ({"sh": np.zeros((2, 4), np.float16)}, r"float16 \[2, K, 3\], got float16 \[2, 4\]"),
     ],
 )  # fmt: skip

@@ -104,7 +104,12 @@ def _tight_radii(splats, scene, camera, params):
 def _dropped_last(splats, scene, camera, params):
     keep = slice(0, max(len(splats) - 1, 0))
     names = ("means2d", "factors", "depths", "opacities", "colors", "radii", "gaussian_ids")
-    return replace(splats, **{n: getattr(splats, n)[keep] for n in names})
+    kept = {n: getattr(splats, n)[keep] for n in names}
+    return replace(splats, **kept, numbers=scene.numbers_of(kept["gaussian_ids"]))
+
+
+def _no_numbers(splats, scene, camera, params):
+    return replace(splats, numbers=None)
 
 
 def _depth_rounded(splats, scene, camera, params):
@@ -118,13 +123,17 @@ def _radial_depth(splats, scene, camera, params):
 
 
 def _unstable(splats, workspace):
+    """Equal depths by falling row, whatever their numbers."""
     backwards = np.argsort(splats.depths[::-1], kind="stable").astype(np.int32)
     return (len(splats) - 1 - backwards).astype(np.int32)
 
 
+def _ties_by_row(splats, workspace):
+    return reference.sort(replace(splats, numbers=None))
+
+
 def _coarse(splats, workspace):
-    key = splats.depths.astype(np.float16)
-    return np.argsort(key, kind="stable").astype(np.int32)
+    return reference.sort(replace(splats, depths=splats.depths.astype(np.float16)))
 
 
 def _small_boxes(splats, order, workspace):
@@ -221,8 +230,10 @@ WRONG = {
     "tight radii": (_splats(_tight_radii), P),
     "last Gaussian dropped": (_splats(_dropped_last), P),
     "depths in float16": (_splats(_depth_rounded), P),
+    "numbers lost": (_splats(_no_numbers), P),
     "radial depth": (_splats(_radial_depth), P),
     "unstable ties": (replace(REFERENCE, sort=_unstable), ("sort", "picture")),
+    "ties by row": (replace(REFERENCE, sort=_ties_by_row), ("sort", "picture")),
     "coarse keys": (replace(REFERENCE, sort=_coarse), ("sort", "picture")),
     "small boxes": (replace(REFERENCE, bin=_small_boxes), ("bin", "picture")),
     "tiles not near to far": (replace(REFERENCE, bin=_unordered_tiles), ("bin", "picture")),

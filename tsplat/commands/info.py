@@ -14,6 +14,7 @@ from tsplat.plan import Plan, make_plan
 from tsplat.views import scene_extent
 
 PERCENTILES = (0, 5, 50, 95, 100)
+ROWS_MOVED, ROWS_KEPT = "along a space-filling curve", "in the file's order"
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -44,7 +45,7 @@ def describe(scene: Scene, plan: Plan) -> dict[str, Any]:
         if len(scene)
         else (scene.origin, scene.origin)
     )
-    arrays = (scene.means, scene.quats, scene.scales, scene.opacities, scene.sh)
+    arrays = (scene.means, scene.quats, scene.scales, scene.opacities, scene.sh, scene.numbers)
     return {
         "name": printable(scene.name),
         "gaussians": len(scene),
@@ -58,7 +59,8 @@ def describe(scene: Scene, plan: Plan) -> dict[str, Any]:
         "percentiles": list(PERCENTILES),
         "opacity": spread.tolist(),
         "largest_scale": sizes.tolist(),
-        "bytes": sum(a.nbytes for a in arrays),
+        "bytes": sum(a.nbytes for a in arrays if a is not None),
+        "rows": ROWS_MOVED if scene.numbers is not None else ROWS_KEPT,
         "backend": dict(plan.backends),
         "backend_reason": {stage: choice.reason for stage, choice in plan.choices.items()},
         "passed_over": list(plan.passed_over),
@@ -86,6 +88,7 @@ def _lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
         *(("left out", f"{n:,}: {reason}") for reason, n in facts["dropped"].items()),
         ("SH degree", str(facts["sh_degree"])),
         ("SH in", _precision(facts)),
+        ("rows", facts["rows"]),
         ("memory", f"{facts['bytes'] / 1e6:.1f} MB"),
         ("bounds", f"{numbers(facts['bounds'][0])}  to  {numbers(facts['bounds'][1])}"),
         (

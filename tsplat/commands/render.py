@@ -48,6 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     for _ in range(arguments.repeat):
         workspace.forget()
         runs.append(plan.run(scene, camera, workspace))
+    del workspace  # all but the frame: its memory is needed for writing
     write_output(arguments.output, runs[-1].frame, camera, arguments.background)
     seconds = {"load": loaded, **_over(runs, min)}
     if arguments.json:

@@ -30,6 +30,7 @@ from tsplat.core.constants import (
     VARIANCE_MAX,
 )
 from tsplat.core.params import RenderParams
+from tsplat.core.ties import break_ties
 from tsplat.core.types import F64, I32, Bins, Floats, Frame, Scene, Splats
 from tsplat.core.workspace import Workspace
 
@@ -185,12 +186,16 @@ def project(
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     for name in ("factors", "opacities", "colors", "radii"):
         columns[name] = columns[name].astype(dtype)
-    return Splats(**columns, width=camera.width, height=camera.height, overflowed=overflowed)
+    return Splats(
+        **columns, width=camera.width, height=camera.height, overflowed=overflowed,
+        numbers=scene.numbers_of(columns["gaussian_ids"]),
+    )  # fmt: skip
 
 
 def sort(splats: Splats, workspace: Workspace | None = None) -> I32:
     """See :class:`tsplat.core.stages.Sort`."""
-    return np.argsort(splats.depths, kind="stable").astype(np.int32)
+    order = np.argsort(splats.depths, kind="stable").astype(np.int32)
+    return break_ties(order, splats.depths, splats.numbers)
 
 
 def pixel_boxes(splats: Splats) -> tuple[I32, I32]:

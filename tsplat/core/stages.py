@@ -25,7 +25,7 @@ STAGES = ("project", "sort", "bin", "composite")
 
 
 class Project(Protocol):
-    """Gaussians -> splats, in scene order.
+    """Gaussians -> splats, in the order of their rows, with their numbers.
 
     Must keep every Gaussian with near < z < far that reaches a pixel (alpha at or above the
     threshold); may keep others. Depths are camera z, evaluated in float64 as
@@ -39,7 +39,10 @@ class Project(Protocol):
 
 
 class Sort(Protocol):
-    """Splats -> order [M] int32, near to far; equal depths keep scene order."""
+    """Splats -> order [M] int32, near to far; equal depths by ``numbers``, or by row without.
+
+    A stable sort by depth and :func:`tsplat.core.ties.break_ties` give just that.
+    """
 
     def __call__(self, splats: Splats, workspace: Workspace) -> I32: ...
 

@@ -55,6 +55,9 @@ class Scene:
         default_factory=dict
     )  # reason -> Gaussians the loader left out
     sh_error: float = 0.0  # 0..1: no colour is farther off for sh being float16, from anywhere
+    # [N]  which place each row had in its source, if a loader moved them along a space-filling
+    # curve; distinct, and only their order counts; None if that is the order of the rows
+    numbers: I32 | None = None
 
     def __post_init__(self) -> None:
         check_array("Scene.means", self.means, np.float32, ("N", 3))
@@ -73,6 +76,8 @@ class Scene:
             "Coefficient-major, RGB last; float16 will do too.",
         )
         check_array("Scene.origin", self.origin, np.float64, (3,))
+        if self.numbers is not None:
+            check_array("Scene.numbers", self.numbers, np.int32, (n,))
         if self.sh.shape[1] not in (1, 4, 9, 16):
             raise SceneError(
                 f"Scene.sh: expected 1, 4, 9 or 16 coefficients (degree 0 to {SH_DEGREE_MAX}), "
@@ -88,7 +93,7 @@ class Scene:
         return {1: 0, 4: 1, 9: 2, 16: 3}[self.sh.shape[1]]
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Scene:
-        """The Gaussians at ``rows`` (indices or a mask), in that order."""
+        """The Gaussians at ``rows`` (indices or a mask), in that order; they keep their numbers."""
         return replace(
             self,
             means=np.ascontiguousarray(self.means[rows]),
@@ -96,12 +101,17 @@ class Scene:
             scales=np.ascontiguousarray(self.scales[rows]),
             opacities=np.ascontiguousarray(self.opacities[rows]),
             sh=np.ascontiguousarray(self.sh[rows]),
+            numbers=self.numbers_of(rows),
         )
+
+    def numbers_of(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> I32 | None:
+        """``numbers[rows]``; None if there are none."""
+        return None if self.numbers is None else np.ascontiguousarray(self.numbers[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class Splats:
-    """M visible Gaussians on the image plane, in scene order.
+    """M visible Gaussians on the image plane, in the order of the scene's rows.
 
     The inverse 2D covariance is kept as its upper Cholesky factor U, so that the exponent is a
     sum of squares and never positive: ``sigma = ((u11 dx + u12 dy)^2 + (u22 dy)^2) / 2``.
@@ -121,6 +131,7 @@ class Splats:
     width: int  # px
     height: int  # px
     overflowed: int = 0  # Gaussians too large or near for float32, dropped
+    numbers: I32 | None = None  # [M]  of equal depths the lowest is in front; None: by row
 
     def __len__(self) -> int:
         return len(self.gaussian_ids)

@@ -8,19 +8,25 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsplat.core.errors import SceneError
-from tsplat.core.types import F32, F64, Floats, Scene
+from tsplat.core.types import F32, F64, I32, Floats, Scene
+from tsplat.core.workspace import default_threads
+from tsplat.io import curve
 from tsplat.io.half import to_half
 
 CHUNK = 4096
 """Rows worked on at a time: 1 MB of a degree-3 scene. Fewer, and threads spend their time on
 waiting for each other between NumPy's steps; more, and they leave a core's cache. Of 1,024 to
 16,384, the fastest on two cores (1M Gaussians of degree 3)."""
+
+THREADS = 8
+"""More would wait for each other: between two of NumPy's steps only one runs."""
 
 DETAIL = 1e-3
 """Standard deviations of a typical Gaussian that rounding a position to float32 may cost."""
@@ -126,8 +132,25 @@ class SceneBuilder:
         self._runs = [(0, size)]
         return size
 
-    def build(self, name: str, origin: F64 | None = None) -> Scene:
-        """The Scene of everything added; ``origin`` is what the means were relative to."""
+    def _along_curve(self) -> I32 | None:
+        """Moves rows along the curve, array by array; the place that each had before."""
+        if len(self._means) < curve.ROWS_MIN:
+            return None
+        order = curve.curve_order(self._means)
+        with ThreadPoolExecutor(min(default_threads(), THREADS), "tsplat-curve") as pool:
+            self._means = curve.taken(self._means, order, pool)
+            self._quats = curve.taken(self._quats, order, pool)
+            self._scales = curve.taken(self._scales, order, pool)
+            self._opacities = curve.taken(self._opacities, order, pool)
+            self._sh = curve.taken(self._sh, order, pool)
+        return order
+
+    def build(self, name: str, origin: F64 | None = None, *, reorder: bool = False) -> Scene:
+        """The Scene of everything added; the builder is used up.
+
+        ``origin`` is what the means were relative to. With ``reorder``, the rows of a large scene
+        are moved along a space-filling curve and numbered.
+        """
         base = np.zeros(3) if origin is None else origin
         size = self._close_gaps()
         means = self._means[:size]
@@ -135,16 +158,22 @@ class SceneBuilder:
             shift = detail_origin(means, self._scales[:size])
             means = means - shift
             base = base + shift
+        self._means = np.ascontiguousarray(means, np.float32)
+        self._quats, self._scales = self._quats[:size], self._scales[:size]
+        self._opacities, self._sh = self._opacities[:size], self._sh[:size]
+        del means  # each old array makes room for the next
+        numbers = self._along_curve() if reorder else None
         return Scene(
-            means=np.ascontiguousarray(means, np.float32),
-            quats=self._quats[:size],
-            scales=self._scales[:size],
-            opacities=self._opacities[:size],
-            sh=self._sh[:size],
+            means=self._means,
+            quats=self._quats,
+            scales=self._scales,
+            opacities=self._opacities,
+            sh=self._sh,
             origin=base,
             name=name,
             dropped=MappingProxyType(dict(sorted(self.dropped.items(), key=_place))),
             sh_error=self.sh_error,
+            numbers=numbers,
         )
 
 

@@ -23,7 +23,7 @@ from tsplat.core.types import F32, F64, Floats, Scene
 from tsplat.core.workspace import default_threads
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, sample_rows
-from tsplat.io.clean import CHUNK, OPACITY_RANGE, SceneBuilder
+from tsplat.io.clean import CHUNK, OPACITY_RANGE, THREADS, SceneBuilder
 from tsplat.io.half import SH_ERROR_MAX
 
 if TYPE_CHECKING:
@@ -47,9 +47,6 @@ SAMPLED = "beyond max_splats"
 
 PIECE = 4 * CHUNK
 """Rows that a thread decodes before it takes the next."""
-
-THREADS = 8
-"""More would wait for each other: between two of NumPy's steps only one runs."""
 
 
 def rest_count(properties: tuple[str, ...]) -> int | str:
@@ -208,7 +205,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
     if not len(builder):
         reasons = ", ".join(f"{r}: {n}" for r, n in builder.dropped.items() if r != SAMPLED)
         refuse(path, f"none of its Gaussians can be drawn ({reasons})")
-    return builder.build(printable(path.name))
+    return builder.build(printable(path.name), reorder=True)
 
 
 def _load() -> Read:

@@ -2,8 +2,8 @@
 
 Each stage gets the *reference's* inputs, so that one fault fails one check. What must hold:
 
-- project: the same depths to the bit, no Gaussian missing that reaches a pixel, and the picture
-  that the reference makes of these splats is the contract's;
+- project: the same depths to the bit, their numbers, no Gaussian missing that reaches a pixel, and
+  the picture that the reference makes of these splats is the contract's;
 - sort: the same order;
 - bin: every tile lists distinct splats near to far, and the picture does not change;
 - composite: the contract's picture of the reference's splats and bins;
@@ -27,6 +27,7 @@ from tsplat.core import reference
 from tsplat.core.camera import Camera
 from tsplat.core.params import RenderParams
 from tsplat.core.stages import STAGES, Bin, Composite, Project, Sort, Stages
+from tsplat.core.ties import same_numbers
 from tsplat.core.types import F64, I32, Bins, Frame, Scene, Splats
 from tsplat.core.workspace import Workspace
 from tsplat.testing.compare import Comparison, compare_frames
@@ -117,6 +118,8 @@ def check_project(stages: Stages, case: Case) -> Verdict:
     ]
     if (np.diff(ids) <= 0).any() or not ((ids >= 0) & (ids < len(case.scene))).all():
         faults.append("Splats.gaussian_ids must increase and point into the scene")
+    elif not same_numbers(got.numbers, case.scene.numbers_of(ids)):
+        faults.append("Splats.numbers: expected scene.numbers_of(gaussian_ids)")
     if faults:
         return Verdict("project", tuple(faults))
     if (got.width, got.height) != (want.width, want.height):

@@ -6,6 +6,8 @@ examples are cheap and shrink to few Gaussians and few oddities.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import strategies as st
 
@@ -16,7 +18,7 @@ from tsplat.core.params import RenderParams
 from tsplat.core.types import F32, F64, Scene
 
 ODDITIES = (
-    "equal depths",  # many Gaussians in planes; ties keep scene order
+    "equal depths",  # many Gaussians in planes; ties go by number
     "twins",  # the same Gaussian several times, in other colours
     "needles",  # one axis some 300 times the others
     "threads",  # one axis some 10,000 times the others, across the whole picture
@@ -31,6 +33,7 @@ ODDITIES = (
     "bright",  # colours beyond 1
     "dark",  # colours clamped at 0
     "half",  # spherical harmonics in float16
+    "shuffled",  # twins, their rows in any order with numbers that say how they tie
 )
 
 
@@ -89,17 +92,24 @@ def make_scene(seed: int, n: int, degree: int, oddities: frozenset[str]) -> Scen
     if "dark" in oddities:
         sh[some(), 0] -= 3
     quats = _quats(rng, n)
-    if "twins" in oddities and n > 1:
+    if oddities & {"twins", "shuffled"} and n > 1:
         twin = some()
         means[twin], scales[twin], quats[twin] = means[0], scales[0], quats[0]
     origin = np.zeros(3)
     if "far origin" in oddities:
         origin = np.round(rng.uniform(-1e6, 1e6, 3))
-    return Scene(
+    scene = Scene(
         means.astype(np.float32), quats, scales.astype(np.float32),
         _off_threshold(opacities).astype(np.float32),
         sh.astype(np.float16) if "half" in oddities else sh.astype(np.float32), origin,
     )  # fmt: skip
+    return shuffled(scene, rng) if "shuffled" in oddities else scene
+
+
+def shuffled(scene: Scene, rng: np.random.Generator) -> Scene:
+    """The same picture from rows in another order: ties go by the order they had."""
+    numbers = np.arange(len(scene), dtype=np.int32)
+    return replace(scene, numbers=numbers).take(rng.permutation(len(scene)))
 
 
 def scenes(max_gaussians: int = 60, max_degree: int = 3) -> st.SearchStrategy[Scene]:

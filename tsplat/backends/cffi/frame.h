@@ -251,6 +251,7 @@ int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *cam
     int32_t width = camera->width, height = camera->height;
     int64_t across = ((int64_t)width + TILE - 1) / TILE, down = ((int64_t)height + TILE - 1) / TILE;
     const record *records = (const record *)(const void *)space->records;
+    const ties ties = {records, packed->numbers};
     picture out = make_picture(params, width, rgb, transmittance, depth);
     int bad = 0;
     if (width < 1 || height < 1 || threads < 1) return TSPLAT_BAD_SIZE;
@@ -281,7 +282,7 @@ int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *cam
                         pass_tile(&out, x0, y0, columns, rows);
                         continue;
                     }
-                    best->sort_tile(space->pairs + begin, scratch, count, records, ids);
+                    best->sort_tile(space->pairs + begin, scratch, count, &ties, ids);
                     int open = best->composite_tile(&out, records, packed->count, ids, count, x0,
                                                     y0, columns, rows);
                     bad |= open < 0;

@@ -146,11 +146,13 @@ def fused(
             intersections, longest = counted
         drawn += intersections
         pairs = workspace.array("cffi.frame.pairs", (intersections,), np.uint64)
-        scratch = workspace.array("cffi.frame.scratch", (threads, longest), np.uint64)
-        ids = workspace.array("cffi.frame.ids", (threads, longest), np.int32)
-        space.pairs, space.scratch = pointer(pairs, "uint64_t"), pointer(scratch, "uint64_t")
-        space.ids = pointer(ids, "int32_t")
+        space.pairs = pointer(pairs, "uint64_t")
         check(lib.tsplat_frame_bin(struct, eye, space, near, far, threads), "bin")
+        # where boxes and depths were, if they have served
+        memory = ("boxes", "depths") if slabs == 1 else ("scratch", "ids")
+        scratch = workspace.array(f"cffi.frame.{memory[0]}", (threads, longest), np.uint64)
+        ids = workspace.array(f"cffi.frame.{memory[1]}", (threads, longest), np.int32)
+        space.scratch, space.ids = pointer(scratch, "uint64_t"), pointer(ids, "int32_t")
         binned = clock()
         check(
             lib.tsplat_frame_composite(

@@ -129,8 +129,8 @@ typedef int chunk_function(const tsplat_packed *, const tsplat_scene *, const le
 typedef int composite_function(const picture *, const record *, int64_t, const int32_t *, int64_t,
                                int32_t, int32_t, int32_t, int32_t);
 
-/* sort_tile(pairs, scratch, count, records, ids): the slots of count pairs, near to far. */
-typedef void sort_function(uint64_t *, uint64_t *, int64_t, const record *, int32_t *);
+/* sort_tile(pairs, scratch, count, ties, ids): the slots of count pairs, near to far. */
+typedef void sort_function(uint64_t *, uint64_t *, int64_t, const ties *, int32_t *);
 
 #include "vec_generic.h"
 #if defined(__x86_64__) && defined(__GNUC__)

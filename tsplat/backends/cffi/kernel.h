@@ -115,6 +115,8 @@ typedef struct {
     int32_t width;              /* TSPLAT_COLUMNS, or three more where SH degree 0 makes the colour */
     float *colors;              /* [ceil(N / 16), 3, 16] kept from frame to frame, or NULL */
     uint16_t *kept;             /* [ceil(N / 16)]: which of sixteen colours are */
+    const int32_t *numbers;     /* of the scene's rows: of equal depths the lowest is in front; NULL:
+                                   by row */
 } tsplat_packed;
 
 /* What a frame needs; slots are ceil(N / TSPLAT_CLUSTER) * TSPLAT_CLUSTER. */

@@ -25,10 +25,10 @@ TARGET static inline int NAME(sort_few)(const uint64_t *pairs, int count, int32_
 /* See sort_tile in kernel.c; uses pairs and scratch up. Two rounds of a radix sort, by digits so large
  * that two splats seldom agree in both. */
 TARGET static void NAME(sort_tile)(uint64_t *pairs, uint64_t *scratch, int64_t count,
-                                   const record *records, int32_t *ids) {
+                                   const ties *ties, int32_t *ids) {
     enum { DIGIT = 11 };
     if (count <= FEW) {
-        if (!NAME(sort_few)(pairs, (int)count, ids)) tidy(pairs, scratch, count, records, ids);
+        if (!NAME(sort_few)(pairs, (int)count, ids)) tidy(pairs, scratch, count, ties, ids);
         return;
     }
     uint64_t low = UINT64_MAX, high = 0;
@@ -57,5 +57,5 @@ TARGET static void NAME(sort_tile)(uint64_t *pairs, uint64_t *scratch, int64_t c
     for (int64_t i = 0; i < count; i++) scratch[first[KEY(pairs[i]) & mask]++] = pairs[i];
     for (int64_t i = 0; i < count; i++) pairs[second[KEY(scratch[i]) >> digit]++] = scratch[i];
 #undef KEY
-    tidy(pairs, scratch, count, records, ids);
+    tidy(pairs, scratch, count, ties, ids);
 }

@@ -10,8 +10,9 @@ import numpy as np
 
 from tsplat.backends.cffi._kernel import ffi, lib
 from tsplat.backends.cffi.call import check, pointer, scene_struct
+from tsplat.core.constants import ALPHA_FLOOR
 from tsplat.core.params import RenderParams
-from tsplat.core.types import F32, F64, Scene
+from tsplat.core.types import F32, F64, I32, Scene
 from tsplat.core.workspace import Workspace
 
 SAMPLE = 4096  # Gaussians that the curve's box is guessed from
@@ -55,8 +56,36 @@ def pack(
 
 def _pack(scene: Scene, key: tuple[float, bool, bool], threads: int) -> Packed:
     threshold, plain, everything = key
-    n = len(scene)
     struct = scene_struct(scene)
+    order = _order(scene, 0 if everything else threshold, threads)
+    count = len(order)
+    width = lib.TSPLAT_COLUMNS + 3 * (plain and not everything)
+    store = Workspace()  # for its alignment
+    columns = store.array("columns", (-(-count // 16), width, 16), np.float32)
+    bounds = np.empty((-(-count // lib.TSPLAT_CLUSTER), lib.TSPLAT_BOUNDS))
+    packed = ffi.new(
+        "tsplat_packed *",
+        {
+            "columns": pointer(columns, "float"), "bounds": pointer(bounds, "double"),
+            "count": count, "width": width, "numbers": pointer(scene.numbers, "int32_t"),
+        },
+    )  # fmt: skip
+    check(
+        lib.tsplat_pack(
+            struct, pointer(order, "int32_t"), threshold, packed,
+            pointer(columns, "float"), pointer(bounds, "double"), threads,
+        ),
+        "pack",
+    )  # fmt: skip
+    return Packed(columns, bounds, count, packed, struct, key)
+
+
+def _order(scene: Scene, threshold: float, threads: int) -> I32:
+    """Rows that can reach ``threshold`` [count], along the curve."""
+    if scene.numbers is not None:  # the loader moved them there
+        seen = scene.opacities >= np.float32(max(threshold, ALPHA_FLOOR))
+        return np.arange(len(seen), dtype=np.int32)[seen]
+    n = len(scene)
     sample = scene.means[:: max(n // SAMPLE, 1)]
     low, high = np.zeros(3, np.float32), np.zeros(3, np.float32)
     if n:  # outliers would leave the bulk few cells of the curve
@@ -65,7 +94,7 @@ def _pack(scene: Scene, key: tuple[float, bool, bool], threads: int) -> Packed:
     kept = np.zeros(1, np.int64)
     check(
         lib.tsplat_curve(
-            struct, 0 if everything else threshold, pointer(low, "float"), pointer(high, "float"),
+            scene_struct(scene), threshold, pointer(low, "float"), pointer(high, "float"),
             pointer(codes, "uint32_t"), pointer(kept, "int64_t"), threads,
         ),
         "curve",
@@ -80,24 +109,4 @@ def _pack(scene: Scene, key: tuple[float, bool, bool], threads: int) -> Packed:
         ),
         "curve",
     )  # fmt: skip
-    del codes, pairs
-    count = int(kept[0])
-    width = lib.TSPLAT_COLUMNS + 3 * (plain and not everything)
-    store = Workspace()  # for its alignment
-    columns = store.array("columns", (-(-count // 16), width, 16), np.float32)
-    bounds = np.empty((-(-count // lib.TSPLAT_CLUSTER), lib.TSPLAT_BOUNDS))
-    packed = ffi.new(
-        "tsplat_packed *",
-        {
-            "columns": pointer(columns, "float"), "bounds": pointer(bounds, "double"),
-            "count": count, "width": width,
-        },
-    )  # fmt: skip
-    check(
-        lib.tsplat_pack(
-            struct, pointer(order, "int32_t"), threshold, packed,
-            pointer(columns, "float"), pointer(bounds, "double"), threads,
-        ),
-        "pack",
-    )  # fmt: skip
-    return Packed(columns, bounds, count, packed, struct, key)
+    return order[: int(kept[0])]

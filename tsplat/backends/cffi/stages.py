@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tsplat.backends.cffi._kernel import lib
@@ -17,6 +19,7 @@ from tsplat.backends.cffi.call import (
 from tsplat.core.camera import Camera
 from tsplat.core.errors import KernelError, check_array
 from tsplat.core.params import RenderParams
+from tsplat.core.ties import break_ties
 from tsplat.core.types import I32, Bins, Frame, Scene, Splats
 from tsplat.core.workspace import Workspace
 
@@ -49,13 +52,14 @@ def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Works
         ),
         "project",
     )  # fmt: skip
-    return splats
+    return replace(splats, numbers=scene.numbers_of(splats.gaussian_ids))
 
 
 def sort(splats: Splats, workspace: Workspace) -> I32:
     """See :class:`tsplat.core.stages.Sort`."""
     m, threads = len(splats), workspace.threads
-    depths = check_array("Splats.depths", splats.depths, np.float32, (m,))
+    depths = splats.depths
+    check_array("Splats.depths", depths, np.float32, (m,))
     order: I32 = workspace.array("cffi.order", (m,), np.int32)
     pairs = workspace.array("cffi.pairs", (2 * m,), np.uint64)
     histograms = workspace.array("cffi.histograms", (threads, lib.TSPLAT_RADIX), np.uint32)
@@ -66,7 +70,7 @@ def sort(splats: Splats, workspace: Workspace) -> I32:
         ),
         "sort",
     )  # fmt: skip
-    return order
+    return break_ties(order, depths, splats.numbers)
 
 
 def bin(splats: Splats, order: I32, workspace: Workspace) -> Bins:

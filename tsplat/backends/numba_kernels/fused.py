@@ -18,10 +18,10 @@ def project_records(
     view: F64, degree: int, antialias: bool, threshold: float, space: F32, space64: F64,
     means2d: F64, factors: F32, depths: F32, opacities2d: F32, colors: F32, radii: F32,
     gaussian_ids: I32, chunk_boxes: I64, width: int, height: int, records: F32, records64: F64,
-    boxes: I64, all_depths: F32,
+    boxes: I64, all_depths: F32, ids: I32,
 ) -> tuple[int, int]:  # fmt: skip
-    """Projects Gaussians ``first`` to ``last`` to rows of records, boxes and all_depths from
-    ``first`` on; returns how many are visible, and how many overflowed.
+    """Projects Gaussians ``first`` to ``last`` to rows of records, boxes, all_depths and ids
+    from ``first`` on; returns how many are visible, and how many overflowed.
 
     The splats [CHUNK] and their boxes are lent; for the rest see the three stages.
     """
@@ -39,6 +39,7 @@ def project_records(
         for i in range(count):  # a slice would cost ten seconds of compiling
             put(boxes, row + i, item(chunk_boxes, i))
             put(all_depths, row + i, item(depths, i))
+            put(ids, row + i, item(gaussian_ids, i))
         row += count
         overflowed += over
     return row - first, overflowed

@@ -19,6 +19,7 @@ from tsplat.core.constants import ALPHA_FLOOR, CLAMP_MARGIN
 from tsplat.core.errors import KernelError, check_array
 from tsplat.core.params import RenderParams
 from tsplat.core.stages import STAGES, Counts
+from tsplat.core.ties import break_ties
 from tsplat.core.types import F32, F64, I32, I64, Bins, Frame, Scene, Splats
 from tsplat.core.workspace import Workspace
 
@@ -125,14 +126,18 @@ def project(scene: Scene, camera: Camera, params: RenderParams, workspace: Works
         m += visible
     splats = {name: array[:m] for name, array in arrays.items()}
     overflowed = sum(overflowed for _, overflowed in counts)
-    return Splats(**splats, width=camera.width, height=camera.height, overflowed=overflowed)
+    return Splats(
+        **splats, width=camera.width, height=camera.height, overflowed=overflowed,
+        numbers=scene.numbers_of(splats["gaussian_ids"]),
+    )  # fmt: skip
 
 
 def sort(splats: Splats, workspace: Workspace) -> I32:
     """See :class:`tsplat.core.stages.Sort`."""
     m = len(splats)
     depths: Any = check_array("Splats.depths", splats.depths, np.float32, (m,))
-    return _sort(depths, _runs(m, workspace.threads if m > _FEW else 1), workspace)
+    order = _sort(depths, _runs(m, workspace.threads if m > _FEW else 1), workspace)
+    return break_ties(order, depths, splats.numbers)
 
 
 def _sort(depths: F32, runs: list[tuple[int, int]], workspace: Workspace) -> I32:
@@ -291,11 +296,12 @@ def fused(
     records = workspace.array("numba.records", (n, pixels.RECORD), np.float32)
     boxes = workspace.array("numba.boxes", (n,), np.int64)
     depths = workspace.array("numba.depths", (n,), np.float32)
+    ids = workspace.array("numba.gaussian_ids", (n,), np.int32)
     chunk = [
         workspace.array(f"numba.chunk.{name}", (pieces, whole.CHUNK, *shape), dtype)
         for name, shape, dtype in (*_SPLAT_ARRAYS, ("boxes", (), np.int64))
     ]
-    whole_frame: list[Any] = [width, height, records, records.view(np.float64), boxes, depths]
+    whole_frame: list[Any] = [width, height, records, records.view(np.float64), boxes, depths, ids]
     counts = spread(
         p.threads, pieces,
         lambda i: whole.project_records(
@@ -305,6 +311,10 @@ def fused(
     times.append(clock())
     visible = [(first, first + m) for (first, _), (m, _) in zip(p.runs, counts, strict=True)]
     order = _sort(depths, visible, workspace)
+    if scene.numbers is not None:
+        for first, last in visible:  # rows of the scene become their numbers
+            ids[first:last] = scene.numbers[ids[first:last]]
+        break_ties(order, depths, ids)
     times.append(clock())
     bins = _bin(order, boxes, width, height, workspace)
     times.append(clock())

@@ -1,0 +1,111 @@
+"""The rows of a large file come along a space-filling curve, with the places they had in it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from tests.io.plywriter import raw_columns, write_ply
+from tests.io.test_ply_variants import as_stored, assert_scene
+from tsplat.io import curve, load_scene, scene_from_arrays
+from tsplat.io.base import sample_rows
+
+N = 500
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """A few hundred rows are many, and 60 a piece."""
+    monkeypatch.setattr(curve, "ROWS_MIN", N // 10)
+    monkeypatch.setattr(curve, "PIECE", 60)
+
+
+def in_file_order(scene):
+    """``scene`` as it was before its rows were moved; the numbers are a permutation."""
+    rows = np.argsort(scene.numbers)
+    np.testing.assert_array_equal(scene.numbers[rows], np.arange(len(scene)))
+    return scene.take(rows)
+
+
+def test_ordered_by_number_rows_are_the_files(tmp_path, small):
+    """Every array has been moved alike, and nothing is lost."""
+    columns = raw_columns(N, 2)
+    scene = load_scene(write_ply(tmp_path / "a.ply", columns), sh_float32=True)
+    assert (np.diff(scene.numbers) < 0).any()
+    assert_scene(in_file_order(scene), as_stored(columns, {}))
+
+
+@pytest.mark.parametrize("types", [{}, dict.fromkeys("xyz", "double")])
+def test_rows_that_are_dropped_have_no_number(tmp_path, small, types):
+    """Numbers count what is left, in the file's order; positions may be in double precision."""
+    columns = raw_columns(N, 0)
+    bad = np.random.default_rng(0).random(N) < 0.3
+    columns["opacity"][bad] = np.nan
+    scene = load_scene(write_ply(tmp_path / "a.ply", columns, types=types), sh_float32=True)
+    good = {name: column[~bad] for name, column in columns.items()}
+    assert_scene(in_file_order(scene), as_stored(good, types))
+    assert dict(scene.dropped) == {"opacity not a number": bad.sum()}
+
+
+def test_a_sample_is_even_in_the_file(tmp_path, small):
+    """max_splats picks the rows it picked before any was moved."""
+    columns = raw_columns(10 * N, 0)
+    scene = load_scene(write_ply(tmp_path / "a.ply", columns), max_splats=N, sh_float32=True)
+    rows = sample_rows(10 * N, N)
+    picked = {name: column[rows] for name, column in columns.items()}
+    assert_scene(in_file_order(scene), as_stored(picked, {}))
+
+
+def test_small_files_and_arrays_stay_as_they_are(tmp_path, monkeypatch):
+    """Rows that caches hold are not worth moving; a caller's own arrays keep their order."""
+    columns = raw_columns(N, 0)
+    assert load_scene(write_ply(tmp_path / "a.ply", columns)).numbers is None
+    monkeypatch.setattr(curve, "ROWS_MIN", 1)
+    ones = np.ones((3, 3))
+    assert scene_from_arrays(ones, np.ones((3, 4)), ones, np.ones(3), ones).numbers is None
+
+
+def morton(cell):
+    """The bits of three coordinates in turn, x lowest."""
+    return sum((int(c) >> bit & 1) << 3 * bit + k for bit in range(10) for k, c in enumerate(cell))
+
+
+def test_the_order_is_mortons(small):
+    """On a grid of whole cells, codes rise; in one cell, rows keep their order."""
+    rng = np.random.default_rng(1)
+    cells = rng.integers(0, 8, (N, 3))
+    means = cells.astype(np.float32)
+    order = curve.curve_order(means)
+    assert order.dtype == np.int32
+    codes = [morton(cell * 1023 // 7) for cell in cells]
+    assert order.tolist() == sorted(range(N), key=lambda row: (codes[row], row))
+
+
+@pytest.mark.parametrize(
+    "means",
+    [
+        np.zeros((9, 3)),
+        np.full((9, 3), -3e38),
+        np.array([[3e38, -3e38, 0]] * 3 + [[-3e38, 3e38, 1]] * 3),
+        np.array([[0, 0, 0]] * 500 + [[3e38, -3e38, 3e38]]),
+        np.zeros((1, 3)),
+    ],
+)
+def test_extreme_positions_give_some_order(means):
+    """All in one place, or so far apart that float32 overflows: a permutation, and no warning."""
+    order = curve.curve_order(means.astype(np.float32))
+    assert sorted(order.tolist()) == list(range(len(means)))
+
+
+@pytest.mark.parametrize("shape", [(N,), (N, 3), (N, 4, 3)])
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_taken_is_indexing(small, shape, dtype):
+    """Piece by piece, on threads, of any shape."""
+    array = np.random.default_rng(2).normal(size=shape).astype(dtype)
+    rows = np.random.default_rng(3).permutation(N).astype(np.int32)
+    with ThreadPoolExecutor(3) as pool:
+        got = curve.taken(array, rows, pool)
+    np.testing.assert_array_equal(got, array[rows])
+    assert got.dtype == dtype
