@@ -9,6 +9,7 @@ import pytest
 
 from tests.io.plywriter import raw_columns, write_ply
 from tests.io.test_ply_variants import as_stored, assert_scene
+from tsplat.core.curve import curve_order
 from tsplat.io import curve, load_scene, scene_from_arrays
 from tsplat.io.base import sample_rows
 
@@ -77,7 +78,7 @@ def test_the_order_is_mortons(small):
     rng = np.random.default_rng(1)
     cells = rng.integers(0, 8, (N, 3))
     means = cells.astype(np.float32)
-    order = curve.curve_order(means)
+    order = curve_order(means)
     assert order.dtype == np.int32
     codes = [morton(cell * 1023 // 7) for cell in cells]
     assert order.tolist() == sorted(range(N), key=lambda row: (codes[row], row))
@@ -95,7 +96,7 @@ def test_the_order_is_mortons(small):
 )
 def test_extreme_positions_give_some_order(means):
     """All in one place, or so far apart that float32 overflows: a permutation, and no warning."""
-    order = curve.curve_order(means.astype(np.float32))
+    order = curve_order(means.astype(np.float32))
     assert sorted(order.tolist()) == list(range(len(means)))
 
 

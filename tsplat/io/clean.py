@@ -14,6 +14,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tsplat.core.curve import curve_order
 from tsplat.core.errors import SceneError
 from tsplat.core.types import F32, F64, I32, Floats, Scene
 from tsplat.core.workspace import default_threads
@@ -136,7 +137,7 @@ class SceneBuilder:
         """Moves rows along the curve, array by array; the place that each had before."""
         if len(self._means) < curve.ROWS_MIN:
             return None
-        order = curve.curve_order(self._means)
+        order = curve_order(self._means)
         with ThreadPoolExecutor(min(default_threads(), THREADS), "tsplat-curve") as pool:
             self._means = curve.taken(self._means, order, pool)
             self._quats = curve.taken(self._quats, order, pool)

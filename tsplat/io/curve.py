@@ -1,7 +1,4 @@
-"""Rows along a space-filling curve (Morton's): neighbours in space become neighbours in memory.
-
-Stages visit Gaussians row by row and need few of them all; along the curve these lie together.
-"""
+"""Moving a scene's rows to their places along the curve of ``core/curve.py``."""
 
 from __future__ import annotations
 
@@ -11,48 +8,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tsplat.core.types import F32, I32
+from tsplat.core.types import I32
 
 ROWS_MIN = 1 << 14
 """Scenes of fewer rows stay as they are: caches hold them."""
 
-SAMPLE = 4096
-"""Rows that the grid is guessed from."""
-
 PIECE = 1 << 16
 """Rows at a time; with fewer, threads spend their time on waiting for each other."""
 
-CELLS = 1024
-"""Of the grid along each axis: 30 bits."""
-
 _T = TypeVar("_T", bound=np.generic)
-
-
-def _spread() -> NDArray[np.uint64]:
-    """The bits of each number below CELLS, two zeros after each."""
-    number, spread = np.arange(CELLS, dtype=np.uint64), np.zeros(CELLS, np.uint64)
-    for bit in range(CELLS.bit_length() - 1):
-        spread |= (number >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit)
-    return spread
-
-
-def curve_order(means: F32) -> I32:
-    """Rows [N] of ``means`` [N, 3] along the curve; of those in one cell, the first comes first."""
-    n = len(means)
-    sample = means[:: max(n // SAMPLE, 1)].astype(np.float64)
-    low, high = np.quantile(sample, [0.01, 0.99], axis=0)  # strays would leave the bulk few cells
-    scale = (CELLS - 1) / np.where(high > low, high - low, np.inf)
-    tables = [_spread() << np.uint64(32 + axis) for axis in range(3)]
-    keys = np.arange(n, dtype=np.uint64)
-    for start in range(0, n, PIECE):
-        piece = slice(start, start + PIECE)
-        for axis, table in enumerate(tables):
-            with np.errstate(over="ignore", invalid="ignore"):
-                cell = (means[piece, axis] - np.float32(low[axis])) * np.float32(scale[axis])
-            cell = np.fmin(np.fmax(cell, 0), CELLS - 1)  # what overflowed, too
-            keys[piece] |= table[cell.astype(np.intp)]
-    keys.sort()  # vectorised in NumPy: several times as fast as a stable sort of codes
-    return keys.astype(np.uint32).view(np.int32)
 
 
 def taken(array: NDArray[_T], rows: I32, pool: ThreadPoolExecutor) -> NDArray[_T]:

@@ -135,11 +135,6 @@ typedef struct {
     int32_t *ids;               /* [threads, longest tile] */
 } tsplat_space;
 
-/* Cells of the curve that Gaussians lie in, of a grid from low [3] to high [3]; all bits set for one
- * whose opacity is below the threshold. codes [N]. Returns a status; *kept counts the others. */
-int tsplat_curve(const tsplat_scene *scene, double alpha_threshold, const float *low,
-                 const float *high, uint32_t *codes, int64_t *kept, int threads);
-
 /* Fills columns and bounds of packed, whose count and width say how much, in the given order. */
 int tsplat_pack(const tsplat_scene *scene, const int32_t *order, double alpha_threshold,
                 const tsplat_packed *packed, float *columns, double *bounds, int threads);

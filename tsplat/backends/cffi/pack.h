@@ -1,35 +1,6 @@
 /* Packing a scene, once: neighbours in space become neighbours in memory, vectors need no
  * gathering, and whole clusters can be skipped. */
 
-/* The bits of a number below 1024, two zeros after each. */
-static uint32_t spread(uint32_t x) {
-    x = (x | x << 16) & 0x030000ff;
-    x = (x | x << 8) & 0x0300f00f;
-    x = (x | x << 4) & 0x030c30c3;
-    return (x | x << 2) & 0x09249249;
-}
-
-int tsplat_curve(const tsplat_scene *scene, double alpha_threshold, const float *low,
-                 const float *high, uint32_t *codes, int64_t *kept, int threads) {
-    int64_t n = scene->count, count = 0;
-    float least = (float)max_(alpha_threshold, ALPHA_FLOOR), scale[3];
-    if (n < 0 || n > INT32_MAX || threads < 1) return TSPLAT_BAD_SIZE;
-    for (int k = 0; k < 3; k++) scale[k] = high[k] > low[k] ? 1023 / (high[k] - low[k]) : 0;
-#pragma omp parallel for num_threads(threads) if (n > WORTH) reduction(+ : count)
-    for (int64_t i = 0; i < n; i++) {
-        uint32_t code = 0;
-        for (int k = 0; k < 3; k++) {
-            float cell = (scene->means[3 * i + k] - low[k]) * scale[k];
-            code |= spread(cell > 0 ? cell < 1023 ? (uint32_t)cell : 1023 : 0) << k;
-        }
-        int keep = scene->opacities[i] >= least;
-        codes[i] = keep ? code : UINT32_MAX;
-        count += keep;
-    }
-    *kept = count;
-    return 0;
-}
-
 /* bounds: lowest mean, highest mean, furthest reach in world units, furthest reach in standard
  * deviations; each a little too wide rather than too narrow. */
 static void bound(const tsplat_scene *scene, const int32_t *order, int64_t count, double least,

@@ -11,11 +11,10 @@ import numpy as np
 from tsplat.backends.cffi._kernel import ffi, lib
 from tsplat.backends.cffi.call import check, pointer, scene_struct
 from tsplat.core.constants import ALPHA_FLOOR
+from tsplat.core.curve import curve_order
 from tsplat.core.params import RenderParams
 from tsplat.core.types import F32, F64, I32, Scene
 from tsplat.core.workspace import Workspace
-
-SAMPLE = 4096  # Gaussians that the curve's box is guessed from
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +56,7 @@ def pack(
 def _pack(scene: Scene, key: tuple[float, bool, bool], threads: int) -> Packed:
     threshold, plain, everything = key
     struct = scene_struct(scene)
-    order = _order(scene, 0 if everything else threshold, threads)
+    order = _order(scene, 0 if everything else threshold)
     count = len(order)
     width = lib.TSPLAT_COLUMNS + 3 * (plain and not everything)
     store = Workspace()  # for its alignment
@@ -80,33 +79,10 @@ def _pack(scene: Scene, key: tuple[float, bool, bool], threads: int) -> Packed:
     return Packed(columns, bounds, count, packed, struct, key)
 
 
-def _order(scene: Scene, threshold: float, threads: int) -> I32:
+def _order(scene: Scene, threshold: float) -> I32:
     """Rows that can reach ``threshold`` [count], along the curve."""
+    seen = scene.opacities >= np.float32(max(threshold, ALPHA_FLOOR))
     if scene.numbers is not None:  # the loader moved them there
-        seen = scene.opacities >= np.float32(max(threshold, ALPHA_FLOOR))
-        return np.arange(len(seen), dtype=np.int32)[seen]
-    n = len(scene)
-    sample = scene.means[:: max(n // SAMPLE, 1)]
-    low, high = np.zeros(3, np.float32), np.zeros(3, np.float32)
-    if n:  # outliers would leave the bulk few cells of the curve
-        low, high = np.quantile(sample, [0.01, 0.99], axis=0).astype(np.float32)
-    codes = np.empty(n, np.uint32)
-    kept = np.zeros(1, np.int64)
-    check(
-        lib.tsplat_curve(
-            scene_struct(scene), threshold, pointer(low, "float"), pointer(high, "float"),
-            pointer(codes, "uint32_t"), pointer(kept, "int64_t"), threads,
-        ),
-        "curve",
-    )  # fmt: skip
-    order = np.empty(n, np.int32)
-    pairs = np.empty(2 * n, np.uint64)
-    histograms = np.empty((threads, lib.TSPLAT_RADIX), np.uint32)
-    check(
-        lib.tsplat_sort(
-            pointer(codes, "float"), n, pointer(order, "int32_t"),
-            pointer(pairs, "uint64_t"), pointer(histograms, "uint32_t"), threads,
-        ),
-        "curve",
-    )  # fmt: skip
-    return order[: int(kept[0])]
+        return np.flatnonzero(seen).astype(np.int32)
+    order = curve_order(scene.means)
+    return order[seen[order]]
