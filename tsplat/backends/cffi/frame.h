@@ -283,6 +283,8 @@ int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *cam
                         continue;
                     }
                     best->sort_tile(space->pairs + begin, scratch, count, &ties, ids);
+                    /* as a rule the next tile has as many; a wrong address does no harm */
+                    for (int64_t j = 0; j < min64(count, 512); j += 8) PREFETCH(space->pairs + begin + count + j);
                     int open = best->composite_tile(&out, records, packed->count, ids, count, x0,
                                                     y0, columns, rows);
                     bad |= open < 0;
