@@ -181,7 +181,12 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     preset = parser.add_mutually_exclusive_group()
     preset.add_argument("--quick", action="store_true", help="three pictures of 200,000 Gaussians")
     preset.add_argument("--full", action="store_true", help="all that docs/performance.md shows")
-    add("--scenes", nargs="+", metavar="SCENE", help="random:N, surface:N, stack:N or a file")
+    add(
+        "--scenes",
+        nargs="+",
+        metavar="SCENE",
+        help="random:N, surface:N, cloud:N, stack:N or a file",
+    )
     add("--sizes", nargs="+", default=["640x360", "1280x720"], metavar="WxH", help="with --scenes")
     add("--threads", nargs="+", type=int, metavar="N", help="instead of 1 and 2")
     add("--backends", nargs="+", metavar="NAME", help="as numba, cffi/avx2 or cffi/staged")

@@ -46,7 +46,7 @@ def full() -> list[Case]:
     staged = ("cffi/staged",)
     cases = [Case(f"{kind}:200000", SIZES, also=staged) for kind in ("random", "surface")]
     cases += [Case(f"{kind}:1000000", SIZES, also=staged) for kind in ("random", "surface")]
-    cases.append(Case("stack:2000", LARGE))
+    cases += [Case("cloud:2000", LARGE), Case("stack:2000", LARGE)]
     cases += _real()
     for kind in ("random", "surface"):
         for count in COUNTS:

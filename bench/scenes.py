@@ -1,9 +1,11 @@
-"""Scenes to time: two that are made up, and any file.
+"""Scenes to time: four that are made up, and any file.
 
 ``random``: a box of Gaussians with nothing hidden behind anything for long, the tutorial's kind.
 ``surface``: what training makes of a room: flat surfels on floors and balls, foliage, a far shell,
 sizes spread log-normally, a few needles, most of it opaque.
-``stack``: opaque cards that fill the picture, one behind the other: all but the first are hidden.
+``cloud``: opaque balls, of which some ten hide what is behind, and whose faint rims are all that
+the sides of the picture see.
+``stack``: opaque balls that each fill the picture, one behind the other: a few hide the rest.
 """
 
 from __future__ import annotations
@@ -60,17 +62,27 @@ def surface(n: int) -> Scene:
     )  # fmt: skip
 
 
-def stack(n: int) -> Scene:
-    """Balls of 2 units in a cloud of 10, nearly opaque: a few of them fill every pixel."""
+def _balls(name: str, n: int, size: float) -> Scene:
     rng = np.random.default_rng(3)
     return _scene(
-        f"stack {n:,}", rng.uniform(-10, 10, (n, 3)), np.full((n, 3), 2.0), np.full(n, 0.99),
+        f"{name} {n:,}", rng.uniform(-10, 10, (n, 3)), np.full((n, 3), size), np.full(n, 0.99),
         rng.uniform(size=(n, 3)), rng,
     )  # fmt: skip
 
 
+def cloud(n: int) -> Scene:
+    """Balls of 2 units in a box of 20, nearly opaque."""
+    return _balls("cloud", n, 2.0)
+
+
+def stack(n: int) -> Scene:
+    """Balls of 10 units in a box of 20, nearly opaque."""
+    return _balls("stack", n, 10.0)
+
+
 MADE: dict[str, tuple[Callable[[int], Scene], float]] = {
-    "random": (random, 55.0), "surface": (surface, 34.0), "stack": (stack, 25.0),
+    "random": (random, 55.0), "surface": (surface, 34.0),
+    "cloud": (cloud, 25.0), "stack": (stack, 25.0),
 }  # fmt: skip
 """Name -> maker, and how far away the camera stands."""
 
