@@ -5,14 +5,17 @@ from __future__ import annotations
 import argparse
 import os
 
-from tsplat.commands.common import load, params
+from tsplat.commands.common import calibrated, load, params
 from tsplat.core.errors import TerminalError
 from tsplat.plan import make_plan
 from tsplat.plugins import plugins
 from tsplat.terminal import Screen
 from tsplat.viewer.controls import View
 from tsplat.viewer.loop import Viewer
-from tsplat.views import FOV, frame_orbit
+from tsplat.views import FOV, frame_orbit, frame_scene
+
+CALIBRATED = 640, 360
+"""px: the picture that ``--max-error`` is measured on; the terminal's size is not known yet."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -27,9 +30,8 @@ def run(arguments: argparse.Namespace) -> int:
         registry.find("presenter", arguments.presenter)
     background = arguments.background or (0.0, 0.0, 0.0)
     scene = load(arguments)
-    plan = make_plan(
-        scene, backend=arguments.backend, threads=arguments.threads, params=params(arguments)
-    )
+    wanted, _ = calibrated(arguments, scene, frame_scene(scene, *CALIBRATED), params(arguments))
+    plan = make_plan(scene, backend=arguments.backend, threads=arguments.threads, params=wanted)
     with Screen() as screen:
         orbit = frame_orbit(scene, *screen.terminal.pixels, FOV)
         view = View(orbit, orbit, FOV)

@@ -29,8 +29,9 @@ class Project(Protocol):
 
     Must keep every Gaussian with near < z < far that reaches a pixel (alpha at or above the
     threshold); may keep others. Depths are camera z, evaluated in float64 as
-    ``(r20 dx + r21 dy) + r22 dz`` without fused operations and rounded once to float32, so that
-    every backend sees the same order and the same ties.
+    ``(r20 dx + r21 dy) + r22 dz`` without fused operations and rounded once to float32, then to
+    ``params.depth_bits`` by ``params.depth_split``, so that every backend sees the same order and
+    the same ties.
     """
 
     def __call__(
