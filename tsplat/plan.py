@@ -86,9 +86,10 @@ class Plan:
             return self._drawn(scene, camera, workspace)
         from tsplat.quality.upscale import reduced, upscale
 
+        stretch = self.stages.upscale or upscale
         rendered = self._drawn(scene, reduced(camera, self.params.scale), workspace)
         begin = time.perf_counter()
-        frame = upscale(rendered.frame, camera.width, camera.height, workspace)
+        frame = stretch(rendered.frame, camera.width, camera.height, workspace)
         took = time.perf_counter() - begin
         seconds = {**rendered.seconds, "upscale": took, "total": rendered.seconds["total"] + took}
         return replace(rendered, frame=frame, seconds=seconds)
@@ -291,7 +292,10 @@ def make_plan(
         else:
             choices[stage] = Choice(fastest(stage), f"{name} does not offer it")
     names = {stage: choice.backend for stage, choice in choices.items()}
-    stages = Stages(**{stage: getattr(loaded[name], stage) for stage, name in names.items()})
+    stages = Stages(
+        **{stage: getattr(loaded[name], stage) for stage, name in names.items()},
+        upscale=loaded[names["composite"]].upscale,
+    )
     one = loaded[names["project"]] if len(set(names.values())) == 1 else stages
     needed, left_out = (asked, []) if everything else _leave_out(scene, asked)
     if one.fused is not None and not everything:

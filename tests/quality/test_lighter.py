@@ -14,6 +14,7 @@ from tsplat.core.camera import look_at
 from tsplat.core.params import RenderParams
 from tsplat.core.types import Frame
 from tsplat.core.workspace import Workspace
+from tsplat.plugins import load_backend, plugins
 from tsplat.quality.lighter import lighter
 from tsplat.quality.thin import chances, thin
 from tsplat.quality.upscale import reduced, upscale
@@ -128,3 +129,22 @@ def test_a_plan_says_what_is_left_out_because_it_was_asked_for():
         assert any(word in what for what in said), word
     plain = tsplat.make_plan(DUST).left_out
     assert not any("tsplat bench" in item.effect for item in plain)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (7, 3), (64, 48), (129, 50)])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_c_kernel_interpolates_alike(width, height, threads):
+    """Any size, up or down, with depth or without."""
+    stages = load_backend(plugins().backends["cffi"])
+    rng = np.random.default_rng(width)
+    for h, w in ((1, 1), (2, 5), (24, 32)):
+        rgb = rng.uniform(0, 2, (h, w, 3)).astype(np.float32)
+        layer = rng.uniform(0, 1, (2, h, w)).astype(np.float32)
+        frame = Frame(rgb, layer[0], layer[1] if h > 1 else None)
+        want = upscale(frame, width, height, Workspace(threads))
+        got = stages.upscale(frame, width, height, Workspace(threads))
+        for name in ("rgb", "transmittance", "depth"):
+            mine, theirs = getattr(got, name), getattr(want, name)
+            assert (mine is None) == (theirs is None)
+            if mine is not None:
+                np.testing.assert_allclose(mine, theirs, atol=1e-5)

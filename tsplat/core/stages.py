@@ -109,6 +109,15 @@ class Fused(Protocol):
     ) -> tuple[Frame, Counts]: ...
 
 
+class Upscale(Protocol):
+    """A frame -> the same at another size, as :func:`tsplat.quality.upscale.upscale` has it.
+
+    No stage, and none has to offer it; within 1e-5 of what that function makes.
+    """
+
+    def __call__(self, frame: Frame, width: int, height: int, workspace: Workspace) -> Frame: ...
+
+
 def _nothing(scene: Scene, params: RenderParams) -> tuple[LeftOut, ...]:
     return ()
 
@@ -122,6 +131,7 @@ class Stages:
     bin: Bin | None = None
     composite: Composite | None = None
     fused: Fused | None = None  # only beside all four
+    upscale: Upscale | None = None
     # what fused leaves out of a scene's pictures, whatever the camera
     leaves_out: Callable[[Scene, RenderParams], tuple[LeftOut, ...]] = _nothing
 

@@ -412,3 +412,4 @@ int tsplat_composite(const tsplat_splats *splats, const int64_t *tile_offsets,
 
 #include "pack.h"
 #include "frame.h"
+#include "upscale.h"
