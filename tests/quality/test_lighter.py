@@ -46,13 +46,13 @@ def test_chances_are_in_proportion_up_to_one():
 
 
 def test_what_stays_blocks_as_much_light():
-    """With the opacities made up for, a picture is nearer the whole scene's than without."""
+    """With what is missing made up for, a picture is nearer the whole scene's than without."""
     camera = look_at((0, 0, -6), (0, 0, 0), (0, -1, 0), 50, 48, 40)
     few = thin(replace(DUST), 0.5)
     want = reference.render(DUST, camera, RenderParams()).transmittance
     got = reference.render(few, camera, RenderParams()).transmittance
     where = [int(np.flatnonzero((DUST.means == m).all(1))[0]) for m in few.means]
-    plain = replace(few, opacities=DUST.opacities[where])
+    plain = replace(few, opacities=DUST.opacities[where], scales=DUST.scales[where])
     less = reference.render(plain, camera, RenderParams()).transmittance
     assert want.mean() < 0.9
     assert abs(got.mean() - want.mean()) < 0.25 * abs(less.mean() - want.mean())

@@ -76,7 +76,7 @@ PRESETS: Mapping[str, RenderParams] = MappingProxyType(
         "exact": RenderParams(alpha_threshold=0.0, transmittance_min=0.0),
         "contract": CONTRACT,
         "balanced": RenderParams(alpha_threshold=2 / 255, transmittance_min=1e-2),
-        "fast": RenderParams(alpha_threshold=4 / 255, transmittance_min=1e-2, scale=0.5),
+        "fast": RenderParams(alpha_threshold=4 / 255, transmittance_min=1e-2, share=0.5),
     }
 )
 """Name -> settings. ``exact`` is the ideal picture as far as float32 goes."""

@@ -1,10 +1,15 @@
 """Fewer Gaussians that block about as much light: ``RenderParams.share``.
 
-A Gaussian of opacity o takes the optical depth -ln(1 - o) out of a ray through its middle. Each is
-kept with probability p, and if kept takes 1/p times as much: o' = 1 - (1 - o)^(1/p). So what a ray
-meets is the same in the mean. p grows with what a Gaussian can cover, its opacity times its two
-larger standard deviations, up to 1: large opaque ones stay as they are, dust is thinned out. This
-is Horvitz and Thompson's estimator (1952), with Poisson sampling.
+A Gaussian of opacity o takes the optical depth -ln(1 - o) out of a ray through its middle, over an
+area that goes with the product of its two larger standard deviations. Each is kept with
+probability p, and if kept made up for the others: depth times area grows by 1/p, half of which (in
+the logarithm) is depth and half is area. So the light that all of them block stays the same in the
+mean; this is Horvitz and Thompson's estimator (1952). p goes with the root of opacity times area, up
+to 1: what is large and opaque stays as it is, dust is thinned out.
+
+Of other weights (opacity, opacity times area, times length) and other ways to make up (opacity or
+size alone, or not at all and the least Gaussians dropped) none came nearer to the whole picture on
+all of three scenes, at shares of 3/4, 1/2 and 1/4; opacity alone costs up to 2 dB.
 """
 
 from __future__ import annotations
@@ -56,11 +61,14 @@ def thin(scene: Scene, share: float) -> Scene:
 
 
 def _thin(scene: Scene, share: float) -> Scene:
-    scales = scene.scales.astype(np.float64)
-    area = np.prod(np.sort(scales, axis=1)[:, 1:], axis=1)
+    area = np.prod(np.sort(scene.scales.astype(np.float64), axis=1)[:, 1:], axis=1)
     opacities = scene.opacities.astype(np.float64)
-    p = chances(opacities * area, share)
+    p = chances(np.sqrt(opacities * area), share)
     kept = p > np.arange(1, len(scene) + 1) * GOLDEN % 1
-    few = replace(scene).take(kept)
-    through = np.clip(1 - opacities[kept], 0, 1) ** (1 / p[kept])
-    return replace(few, opacities=(1 - through).astype(np.float32))
+    few, p = scene.take(kept), p[kept]
+    through = np.clip(1 - opacities[kept], 0, 1) ** p**-0.5
+    return replace(
+        few,
+        opacities=(1 - through).astype(np.float32),
+        scales=(few.scales * p[:, None] ** -0.25).astype(np.float32),
+    )
