@@ -10,11 +10,13 @@ import pytest
 from tsplat.core.camera import look_at
 from tsplat.core.errors import ParamsError
 from tsplat.core.params import PRESETS, RenderParams
+from tsplat.io import load_scene
 from tsplat.plan import make_plan
 from tsplat.quality.calibrate import MARGIN, TURNS, Bound, calibrate, parse_bound, turned
 from tsplat.quality.measure import measure
 from tsplat.quality.sweep import ideal_frame
 from tsplat.testing.strategies import make_scene
+from tsplat.views import frame_orbit
 
 SCENE = make_scene(21, 1500, 2, frozenset({"opaque"}))
 CAMERA = look_at((1, -1, -5), (0, 0, 0), (0, -1, 0), 50, 60, 45)
@@ -88,3 +90,21 @@ def test_bounds_are_read():
     for text in ("", "0", "-1", "nan", "4,1", "1,2,3", "one"):
         with pytest.raises(ParamsError, match="expected E or P999,WORST"):
             parse_bound(text)
+
+
+@pytest.mark.parametrize(
+    "name", ["leica-8k-sh3/leica-8k-sh3.gf.ply", "plant-114k-sh0/plant-114k-sh0.st.ply"]
+)
+def test_one_level_holds_on_real_scenes(name, data):
+    """--max-error 1, calibrated in front, seen from elsewhere, against float64 and float32 SH."""
+    path = data / "formats" / name
+    scene = load_scene(path)
+    orbit = frame_orbit(scene, 96, 54)
+
+    def plan(params):
+        return make_plan(scene, threads=2, params=params)
+
+    found = calibrate(scene, orbit.camera(50, 96, 54), Bound(1, 1), plan, RenderParams())
+    other = replace(orbit, yaw=orbit.yaw + 1, pitch=orbit.pitch + 0.3).camera(50, 96, 54)
+    got = plan(found.picked.params).run(scene, other).frame
+    assert measure(got, ideal_frame(load_scene(path, sh_float32=True), other)).worst <= 1

@@ -29,15 +29,17 @@ MARGIN = 0.7
 TURNS = (0.0, math.tau / 3, -math.tau / 3)
 """Radians about the middle of the scene: the cameras to measure with."""
 
-THRESHOLDS = ("1/65280", "1/16320", "1/4080", "1/1020", "1/510", "1/255", "2/255", "4/255", "8/255")
-"""Of alpha, each faster than the one before."""
+THRESHOLDS = (
+    ("1/65280", "1e-7"), ("1/16320", "1e-6"), ("1/4080", "1e-6"), ("1/1020", "1e-5"),
+    ("1/510", "1e-4"), ("1/255", "1e-4"), ("2/255", "1e-3"), ("4/255", "1e-3"), ("8/255", "1e-3"),
+)  # fmt: skip
+"""Of alpha and of transmittance, each pair faster than the one before."""
 
 FURTHER = (
     ("transmittance_min", ("1e-3", "1e-2", "3e-2")),
     ("sh_degree", ("2", "1", "0")),
-    ("scale", ("0.75", "0.5", "0.25")),
     ("share", ("0.75", "0.5", "0.25")),
-    ("depth_bits", ("20",)),
+    ("scale", ("0.75", "0.5", "0.25")),
 )
 """What is tried after the alpha threshold, each until it does not hold."""
 
@@ -179,8 +181,9 @@ def calibrate(
             f"--max-error: colours in float16 alone may be {LEVELS * scene.sh_error:.2g} levels "
             f"off, and {MARGIN:.0%} of the bound may be used; try --sh-float32"
         )
-    for text in THRESHOLDS:
-        found = trial(parse_settings(f"alpha_threshold={text}", base))
+    for alpha, left in THRESHOLDS:
+        text = f"alpha_threshold={alpha},transmittance_min={left}"
+        found = trial(parse_settings(text, base))
         if not found.holds:
             break
         best = min(best, found, key=lambda tried: tried.seconds)
@@ -188,10 +191,19 @@ def calibrate(
         start = best
         for value in values:
             params = parse_settings(f"{name}={value}", start.params)
-            if params == start.params or (name == "sh_degree" and int(value) >= scene.sh_degree):
+            if _no_shortcut(name, params, start.params, scene):
                 continue
             found = trial(params)
             if not found.holds:
                 break
             best = min(best, found, key=lambda tried: tried.seconds)
     return Calibration(best, contract, trial.all, len(cameras))
+
+
+def _no_shortcut(name: str, params: RenderParams, before: RenderParams, scene: Scene) -> bool:
+    """Whether ``name`` leaves out no more in ``params`` than it did ``before``."""
+    if name == "sh_degree":
+        return params.sh_degree >= min(before.sh_degree, scene.sh_degree)
+    if name == "transmittance_min":
+        return params.transmittance_min <= before.transmittance_min
+    return params == before

@@ -4,8 +4,8 @@ A Gaussian of opacity o takes the optical depth -ln(1 - o) out of a ray through 
 area that goes with the product of its two larger standard deviations. Each is kept with
 probability p, and if kept made up for the others: depth times area grows by 1/p, half of which (in
 the logarithm) is depth and half is area. So the light that all of them block stays the same in the
-mean; this is Horvitz and Thompson's estimator (1952). p goes with the root of opacity times area, up
-to 1: what is large and opaque stays as it is, dust is thinned out.
+mean; this is Horvitz and Thompson's estimator (1952). p goes with the root of opacity times area,
+up to 1: what is large and opaque stays as it is, dust is thinned out.
 
 Of other weights (opacity, opacity times area, times length) and other ways to make up (opacity or
 size alone, or not at all and the least Gaussians dropped) none came nearer to the whole picture on
