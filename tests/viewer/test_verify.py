@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import ROOT, gaussians, straight
+from tests.io.plywriter import raw_columns, write_ply
 from tests.viewer.session import Session, parent_of
 from tsplat.cli import make_parser
 from tsplat.commands.view import check_command
@@ -323,10 +324,13 @@ def view(tmp_path, monkeypatch):
     path = os.pathsep.join(p for p in (str(tmp_path), os.environ.get("PYTHONPATH")) if p)
     monkeypatch.setenv("PYTHONPATH", path)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    columns = raw_columns(300, 1)  # logits and logarithms
+    columns |= {f"scale_{i}": columns[f"scale_{i}"] / 2 - 1.5 for i in range(3)}
+    scene = write_ply(tmp_path / "a scene.ply", columns)
     made = []
 
     def start(*words):
-        made.append(Session("--presenter", "halfblock", "--verify", *words))
+        made.append(Session(str(scene), "--presenter", "halfblock", "--verify", *words))
         return made[-1]
 
     yield start
@@ -429,7 +433,7 @@ def test_the_viewer_outlives_its_verification(view):
 
 def test_without_the_option_there_is_no_second_process():
     """Nobody pays who has not asked."""
-    session = Session("--presenter", "halfblock")
+    session = Session("--presenter", "halfblock", "--max-splats", "1000")
     session.pump(lambda: session.frames() >= 1)
     assert session.children() == []
     session.press(b"q")

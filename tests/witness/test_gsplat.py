@@ -9,8 +9,8 @@ or, without gsplat, name that one file: ``TSPLAT_GSPLAT=/path/to/_torch_impl.py`
 or without either, the module is skipped. With ``-s`` it prints what it measured.
 
 Compared: means, depths, the inverse covariances, the antialias factor, and colours, of every
-Gaussian that tsplat's antialiased projection keeps. Not compared: which ones are kept (gsplat cuts at
-3.33 sigma, tsplat where alpha falls below its threshold), and compositing, which gsplat has in
+Gaussian that tsplat's antialiased projection keeps. Not compared: which ones are kept (gsplat cuts
+at 3.33 sigma, tsplat where alpha falls below its threshold), and compositing, which gsplat has in
 CUDA only.
 
 Two things are given to both alike so that only arithmetic is left: quaternions are of unit length
