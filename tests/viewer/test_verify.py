@@ -24,10 +24,10 @@ from tsplat.core import reference
 from tsplat.core.camera import Camera
 from tsplat.core.params import RenderParams
 from tsplat.core.types import Frame
-from tsplat.io.cameras import load_camera
+from tsplat.io.cameras import load_camera, parse_camera_spec
 from tsplat.testing.tiles import Still, TilesCompared, cut, tile_count, tile_pixels
 from tsplat.viewer import verify
-from tsplat.viewer.breaches import KEPT_MAX, TOLD_MAX, BreachLog, state_directory
+from tsplat.viewer.breaches import FAULTS_MAX, KEPT_MAX, TOLD_MAX, BreachLog, state_directory
 from tsplat.viewer.verify import FRAME_SECONDS, REST_SECONDS, ROUND, Verifier
 
 CAMERA = straight(53, 37, 30.0)
@@ -90,7 +90,7 @@ def test_a_wrong_pixel_is_found_in_its_tile_and_in_no_other(scene):
     pieces = {tile: cut(replace(frame, rgb=rgb), tile) for tile in TILES}
     found = still.compare(pieces)
     (fault,) = found.faults
-    assert fault.startswith("tile at (32, 16): 1 pixels off")
+    assert fault.startswith("tile at (32, 16), counted from there: 1 pixels off")
     assert "(3, 4)" in fault
     assert 1.9e-4 < found.max_error < 2.1e-4
     del pieces[6]
@@ -259,6 +259,16 @@ def test_a_session_of_breaches_neither_fills_the_disk_nor_the_screen(tmp_path):
     assert lines[-1] == f"log: {log.path}"
 
 
+def test_a_frame_that_is_wrong_everywhere_takes_few_lines(tmp_path):
+    """The first faults, how many more there are, and the command."""
+    log = BreachLog(lambda camera, pose: "check", tmp_path)
+    log.add(CAMERA, tuple(f"fault {i}" for i in range(30)))
+    lines = log.path.read_text().splitlines()
+    assert [line.strip() for line in lines[1:]] == [
+        *(f"fault {i}" for i in range(FAULTS_MAX)), "and 27 more like these", "check",
+    ]  # fmt: skip
+
+
 def test_a_log_that_cannot_be_written_is_told(tmp_path):
     """The breach is told all the same."""
     (tmp_path / "file").write_text("in the way")
@@ -282,7 +292,7 @@ def test_the_command_says_what_was_shown(tmp_path, monkeypatch):
         assert (setting, program) == ("TSPLAT_ISA=generic", "tsplat")
         read = make_parser().parse_args(rest)
         assert read.scene == str(Path.cwd() / "a scene.ply")
-        assert (read.camera, read.size) == (f"{pose}#0", (53, 37))
+        assert (parse_camera_spec(read.camera), read.size) == ((str(pose), 0), (53, 37))
         assert (read.backend, read.threads, read.max_splats) == (backend, 3, 7)
         assert (read.antialias, read.sh_float32, read.raw_opacity) == (True, True, False)
         assert read.sh_degree == 1

@@ -84,7 +84,8 @@ def check_command(
     words = ["tsplat", "check"]
     if arguments.scene is not None:
         words.append(str(Path(arguments.scene).absolute()))
-    words += ["--camera", f"{pose}#0", "--size", f"{camera.width}x{camera.height}"]
+    spec = f"{pose}#0" if "#" in str(pose) else str(pose)
+    words += ["--camera", spec, "--size", f"{camera.width}x{camera.height}"]
     for name in ("max_splats", "threads"):
         if getattr(arguments, name) is not None:
             words += [f"--{name.replace('_', '-')}", str(getattr(arguments, name))]

@@ -86,5 +86,6 @@ class Still:
             part = Frame(want.rgb[rows, columns], want.transmittance[rows, columns])
             result = compare_frames(got, part, margins[rows, columns], of=width * height)
             worst, flips = max(worst, result.max_error), flips + result.flips
-            faults += [f"tile at ({columns.start}, {rows.start}): {f}" for f in result.faults]
+            where = f"tile at ({columns.start}, {rows.start}), counted from there"
+            faults += [f"{where}: {fault}" for fault in result.faults]
         return TilesCompared(len(tiles), worst, flips, tuple(faults))

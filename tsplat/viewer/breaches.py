@@ -21,6 +21,9 @@ from tsplat.io.cameras import camera_to_json
 KEPT_MAX = 20
 """Frames of one session that are written down. A wrong backend breaks every one."""
 
+FAULTS_MAX = 3
+"""Faults that are written of one frame. A wrong backend has one in every tile."""
+
 TOLD_MAX = 3
 """Frames of one session that are told when it ends."""
 
@@ -54,7 +57,10 @@ class BreachLog:
             return
         now = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         pose = self.directory / f"camera-{now}-{os.getpid()}-{self.count}.json"
-        lines = [f"{now} tsplat {__version__}", *faults, self.command(camera, pose)]
+        shown = list(faults[:FAULTS_MAX])
+        if len(faults) > FAULTS_MAX:
+            shown.append(f"and {len(faults) - FAULTS_MAX} more like these")
+        lines = [f"{now} tsplat {__version__}", *shown, self.command(camera, pose)]
         entry = "\n  ".join(printable(line, 4000) for line in lines) + "\n"
         self.entries.append(entry)
         try:
