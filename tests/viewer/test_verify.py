@@ -441,6 +441,16 @@ def test_the_viewer_outlives_its_verification(view):
     assert session.end(0) == b"tsplat: frames were not verified to the end: its process has ended\n"
 
 
+@pytest.mark.parametrize("words", ["--quality fast", "--set scale=0.5", "--max-error 1"])
+def test_shortcuts_are_not_verified(view, words):
+    """They make another picture than the contract's, which would be told as a breach of it."""
+    session = view(*words.split())
+    session.pump(lambda: session.process.poll() is not None)
+    assert session.process.returncode == 1
+    assert session.process.stderr.read().startswith(b"tsplat: --verify compares with the contract")
+    assert session.output == b""
+
+
 def test_without_the_option_there_is_no_second_process():
     """Nobody pays who has not asked."""
     session = Session("--presenter", "halfblock", "--max-splats", "1000")

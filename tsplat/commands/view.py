@@ -10,18 +10,21 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tsplat.commands.common import load, params, say
+from tsplat.commands.common import calibrated, load, params, say
 from tsplat.core.camera import Camera
-from tsplat.core.errors import TerminalError
+from tsplat.core.errors import ParamsError, TerminalError
 from tsplat.plan import make_plan
 from tsplat.plugins import plugins
 from tsplat.terminal import Screen
 from tsplat.viewer.controls import View
 from tsplat.viewer.loop import Viewer
-from tsplat.views import FOV, frame_orbit
+from tsplat.views import FOV, frame_orbit, frame_scene
 
 if TYPE_CHECKING:
     from tsplat.viewer.verify import Verifier
+
+CALIBRATED = 640, 360
+"""px: the picture that ``--max-error`` is measured on; the terminal's size is not known yet."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -34,6 +37,12 @@ def run(arguments: argparse.Namespace) -> int:
             "tsplat view needs a terminal on standard input and output; "
             "without one, `tsplat render SCENE -o out.png` makes a picture"
         )
+    if arguments.verify and (
+        arguments.quality not in (None, "contract") or arguments.set or arguments.max_error
+    ):
+        raise ParamsError(
+            "--verify compares with the contract's picture: leave out --quality, --set, --max-error"
+        )
     registry = plugins()
     if arguments.presenter != "auto":
         registry.find("presenter", arguments.presenter)
@@ -45,9 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
             from tsplat.viewer.verify import Worker
 
             worker = stack.enter_context(Worker(scene, params(arguments)))
-        plan = make_plan(
-            scene, backend=arguments.backend, threads=arguments.threads, params=params(arguments)
-        )
+        wanted, _ = calibrated(arguments, scene, frame_scene(scene, *CALIBRATED), params(arguments))
+        plan = make_plan(scene, backend=arguments.backend, threads=arguments.threads, params=wanted)
         if arguments.verify:
             from tsplat.viewer.breaches import BreachLog
             from tsplat.viewer.verify import Verifier

@@ -33,12 +33,12 @@ def load() -> Stages:
     Raises:
         PluginError: ``TSPLAT_ISA`` names one that this CPU or build does not offer.
     """
-    from tsplat.backends.cffi import frame, isa, stages
+    from tsplat.backends.cffi import frame, isa, stages, upscale
 
     isa.use_environment()
     return Stages(
         project=stages.project, sort=stages.sort, bin=stages.bin, composite=stages.composite,
-        fused=frame.fused, leaves_out=frame.leaves_out,
+        fused=frame.fused, upscale=upscale.upscale, leaves_out=frame.leaves_out,
     )  # fmt: skip
 
 
