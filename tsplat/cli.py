@@ -38,6 +38,7 @@ examples:
   tsplat view scene.ply --backend numba --presenter halfblock
   tsplat view scene.ply --max-splats 200000 --threads 4
   tsplat view scene.ply --quality fast
+  tsplat view scene.ply --verify
 
 keys: W A S D pan, arrows or J K / H L turn, + - zoom, mouse drag turns, wheel zooms,
       O auto-orbit, U upside up, R reset, Tab status line, ? help, Q quit
@@ -237,6 +238,10 @@ def make_parser() -> argparse.ArgumentParser:
     view.add_argument(
         "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each"
     )
+    view.add_argument(
+        "--verify", action="store_true",
+        help="compare still frames with the float64 reference, some tiles at a time, meanwhile",
+    )  # fmt: skip
 
     render = add("render", "make a picture of a scene", RENDER_EXAMPLES)
     _add_scene(render)
