@@ -20,6 +20,9 @@ from tsplat.plugins import Registry, ask, load_backend, plugins
 
 AUTO = "auto"
 
+PRICED = "another picture; tsplat bench says how much so"
+"""The effect of a shortcut that was asked for."""
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -53,6 +56,11 @@ class Plan:
     left_out: tuple[LeftOut, ...] = ()  # of every frame
     everything: bool = False  # whether nothing is to be left out
     passed_over: tuple[str, ...] = ()  # backends "auto" did not take, with the reason
+
+    @property
+    def shortcuts(self) -> tuple[str, ...]:
+        """What is left out of every frame although it makes another picture."""
+        return tuple(item.what for item in self.left_out if item.effect == PRICED)
 
     @property
     def backends(self) -> dict[str, str]:
@@ -204,9 +212,6 @@ def _leave_out(scene: Scene, params: RenderParams) -> tuple[RenderParams, list[L
     if not params.antialias:
         out.append(LeftOut("antialias factor", "not asked for"))
     return replace(params, sh_degree=lowest), out
-
-
-PRICED = "another picture; tsplat bench says how much so"
 
 
 def _shortcuts(scene: Scene, params: RenderParams) -> list[LeftOut]:

@@ -89,3 +89,14 @@ def test_a_scene_that_cannot_be_read_leaves_the_terminal_untouched():
     assert made.process.stderr.read() == b"tsplat: missing.ply: no such file\n"
     assert made.output == b""
     made.close()
+
+
+def test_the_status_line_names_shortcuts():
+    """With --set the picture is another, and the screen says so; without, it does not."""
+    for words, told in (((), False), (("--set", "alpha_threshold=0.02"), True)):
+        made = Session("--presenter", "halfblock", "--max-splats", "300", *words)
+        made.pump(lambda made=made: made.frames() >= 1 and b" ms cffi" in made.output)
+        assert (b"without alphas below 0.02" in made.output) == told
+        made.press(b"q")
+        made.end(0)
+        made.close()

@@ -144,11 +144,11 @@ class Viewer:
 
     def _status(self, rendered: Rendered, encoded: float, sent: int) -> str:
         names = "+".join(dict.fromkeys(self._plan.backends.values()))
-        frame = rendered.frame
+        frame, less = rendered.frame, (item.what for item in rendered.left_out)
         return (
             f"{self._scene.name}  {rendered.visible:,} of {len(self._scene):,}  "
             f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{self._plan.threads}  "
             f"{self._presenter.name} {frame.width}x{frame.height} "
             f"{encoded * 1e3:.1f} ms {sent / 1e3:.0f} kB  ? keys"
-            + "".join(f"  without {item.what}" for item in rendered.left_out)
+            + "".join(f"  without {what}" for what in (*self._plan.shortcuts, *less))
         )
