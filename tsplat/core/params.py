@@ -117,13 +117,16 @@ def _value(name: str, kind: str, text: str) -> float | int | bool:
 
 
 def settings_text(params: RenderParams) -> str:
-    """What differs from the contract, for :func:`parse_settings`; ``contract`` if nothing does."""
+    """What differs from the contract, for :func:`parse_settings`; a preset has its name."""
+    for name, preset in PRESETS.items():
+        if all(getattr(params, knob) == getattr(preset, knob) for knob in KNOBS):
+            return name
     parts = []
     for name in KNOBS:
         value = getattr(params, name)
         if value != getattr(CONTRACT, name):
             parts.append(f"{name}={_number(value) if isinstance(value, float) else value}")
-    return ",".join(parts).replace("True", "true") or "contract"
+    return ",".join(parts).replace("True", "true")
 
 
 def _number(value: float) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from tsplat.core.camera import Camera
 from tsplat.core.errors import PluginError, printable
+from tsplat.core.params import settings_text
 from tsplat.core.types import Frame, Scene
 from tsplat.core.workspace import Workspace
 from tsplat.plan import Plan, Rendered
@@ -145,10 +146,11 @@ class Viewer:
     def _status(self, rendered: Rendered, encoded: float, sent: int) -> str:
         names = "+".join(dict.fromkeys(self._plan.backends.values()))
         frame, less = rendered.frame, (item.what for item in rendered.left_out)
+        shortcuts = f"  {settings_text(self._plan.params)}" if self._plan.shortcuts else ""
         return (
             f"{self._scene.name}  {rendered.visible:,} of {len(self._scene):,}  "
-            f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{self._plan.threads}  "
+            f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{self._plan.threads}{shortcuts}  "
             f"{self._presenter.name} {frame.width}x{frame.height} "
             f"{encoded * 1e3:.1f} ms {sent / 1e3:.0f} kB  ? keys"
-            + "".join(f"  without {what}" for what in (*self._plan.shortcuts, *less))
+            + "".join(f"  without {what}" for what in less)
         )
