@@ -48,7 +48,8 @@ class Rendered:
 class Plan:
     """What :func:`make_plan` decided; pass it to :func:`render`."""
 
-    params: RenderParams
+    params: RenderParams  # what stages are given: without SH bands that are zero
+    asked: RenderParams
     threads: int
     choices: Mapping[str, Choice]  # stage -> who and why
     stages: Stages  # all four
@@ -307,6 +308,7 @@ def make_plan(
         left_out += one.leaves_out(scene, needed)
     return Plan(
         params=needed,
+        asked=asked,
         threads=threads or default_threads(),
         choices=choices,
         stages=stages,

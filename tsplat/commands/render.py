@@ -96,7 +96,7 @@ def _facts(
         "intersections": last.intersections,
         "seconds": dict(seconds),
         "seconds_median": _over(runs, statistics.median),
-        "settings": settings_text(plan.params),
+        "settings": settings_text(plan.asked),
         "calibration": calibration
         and {
             "cameras": calibration.cameras,

@@ -146,7 +146,7 @@ class Viewer:
     def _status(self, rendered: Rendered, encoded: float, sent: int) -> str:
         names = "+".join(dict.fromkeys(self._plan.backends.values()))
         frame, less = rendered.frame, (item.what for item in rendered.left_out)
-        shortcuts = f"  {settings_text(self._plan.params)}" if self._plan.shortcuts else ""
+        shortcuts = f"  {settings_text(self._plan.asked)}" if self._plan.shortcuts else ""
         return (
             f"{self._scene.name}  {rendered.visible:,} of {len(self._scene):,}  "
             f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{self._plan.threads}{shortcuts}  "
