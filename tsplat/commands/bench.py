@@ -14,6 +14,7 @@ from tsplat.commands.common import camera_from_file, load, print_json, say
 from tsplat.core.camera import Camera
 from tsplat.core.errors import OutputError, PluginError, TsplatError, printable
 from tsplat.core.params import CONTRACT, PRESETS, RenderParams
+from tsplat.core.stages import STAGES
 from tsplat.core.types import Scene
 from tsplat.core.workspace import default_threads
 from tsplat.io.progress import progress_bar
@@ -32,8 +33,11 @@ RUNS = 5
 VERIFIED = 160, 90
 """px: the picture that a backend must get right before it is timed."""
 
-WIDTH = 120
+WIDTH = 160
 """Columns of a table that goes into a file or a pipe."""
+
+STAGES_WIDTH = 130
+"""Columns of a terminal that has room for the time of each stage."""
 
 DRAWN = (".png", ".svg")
 INTERRUPTED = 130
@@ -199,10 +203,10 @@ def _show_table(rows: Sequence[Row], title: str) -> None:
 
     console = Console()
     wide = console if console.is_terminal else Console(width=WIDTH)  # nobody cuts a file's lines
-    wide.print(_table(rows, title))
+    wide.print(_table(rows, title, STAGES if wide.width >= STAGES_WIDTH else ()))
 
 
-def _table(rows: Sequence[Row], title: str) -> Table:
+def _table(rows: Sequence[Row], title: str, stages: Sequence[str]) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
@@ -211,7 +215,7 @@ def _table(rows: Sequence[Row], title: str) -> Table:
                   "errors in 8-bit levels")  # fmt: skip
     for heading in ("", "backend", "setting"):
         table.add_column(heading, no_wrap=True, min_width=len(heading))
-    for heading in ("ms", "median", "speed", "99.9 %", "worst", "PSNR", "SSIM"):
+    for heading in ("ms", "median", *stages, "speed", "99.9 %", "worst", "PSNR", "SSIM"):
         table.add_column(heading, justify="right", no_wrap=True)
     base = {row.backend: row.seconds()[0] for row in rows if row.setting == "contract"}
     before = None
@@ -224,11 +228,16 @@ def _table(rows: Sequence[Row], title: str) -> Table:
         speed = f"{base[row.backend] / least:.2f}" if row.backend in base else ""
         table.add_row(
             "*" if row.optimal else "", row.backend, row.setting, f"{least * 1e3:.1f}",
-            f"{median * 1e3:.1f}", speed, _levels(error.p999), _levels(error.worst),
+            f"{median * 1e3:.1f}", *(_stage(row, stage) for stage in stages), speed, _levels(error.p999), _levels(error.worst),
             f"{error.psnr:.1f}", f"{error.ssim:.5f}",
             style="bold" if row.optimal else None,
         )  # fmt: skip
     return table
+
+
+def _stage(row: Row, stage: str) -> str:
+    """Its least time; nothing where it is part of another."""
+    return f"{row.seconds(stage)[0] * 1e3:.1f}" if stage in row.stages else ""
 
 
 def _levels(value: float) -> str:
