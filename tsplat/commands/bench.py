@@ -228,7 +228,8 @@ def _table(rows: Sequence[Row], title: str, stages: Sequence[str]) -> Table:
         speed = f"{base[row.backend] / least:.2f}" if row.backend in base else ""
         table.add_row(
             "*" if row.optimal else "", row.backend, row.setting, f"{least * 1e3:.1f}",
-            f"{median * 1e3:.1f}", *(_stage(row, stage) for stage in stages), speed, _levels(error.p999), _levels(error.worst),
+            f"{median * 1e3:.1f}", *(_stage(row, stage) for stage in stages), speed,
+            _levels(error.p999), _levels(error.worst),
             f"{error.psnr:.1f}", f"{error.ssim:.5f}",
             style="bold" if row.optimal else None,
         )  # fmt: skip
