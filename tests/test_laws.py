@@ -23,14 +23,14 @@ BACKENDS = [plugins().backends[name] for name in ("numpy", "numba", "cffi")]
 
 
 @pytest.mark.parametrize(
-    "check", [check for b in BACKENDS for check in laws.law_checks(b)], ids=str
+    "check", [check for b in BACKENDS for check in laws.law_checks(b, 20)], ids=str
 )
 def test_laws(check):
     """The backend obeys this law."""
     check()
 
 
-@pytest.mark.parametrize("backend", BACKENDS, ids=lambda b: b.name)
+@pytest.mark.parametrize("backend", BACKENDS[1:], ids=lambda b: b.name)
 @pytest.mark.parametrize("size", [32, 48])
 def test_tiles_of_whole_patches_have_the_same_bits(backend, size):
     """Tiles are cut into patches of 16 px from their corner: multiples of that change nothing."""
