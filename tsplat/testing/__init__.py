@@ -1,5 +1,5 @@
 """What a third party needs to prove a backend or presenter; tsplat's own tests use the same.
 
 ``checks`` compares a backend with the reference on a given scene and needs nothing but NumPy.
-``strategies`` and ``conformance`` need hypothesis (``pip install tsplat[test]``).
+``strategies``, ``conformance`` and ``laws`` need hypothesis (``pip install tsplat[test]``).
 """
