@@ -2,5 +2,5 @@
 
 ``checks`` compares a backend with the reference on a given scene, ``tiles`` a part of one picture;
 both need nothing but NumPy.
-``strategies`` and ``conformance`` need hypothesis (``pip install tsplat[test]``).
+``strategies``, ``conformance`` and ``laws`` need hypothesis (``pip install tsplat[test]``).
 """

@@ -64,14 +64,17 @@ def flips_allowed(pixels: int) -> int:
 
 
 def compare_frames(
-    got: Frame, want: Frame, margins: F64, tolerance: float = TOLERANCE, of: int | None = None
-) -> Comparison:
+    got: Frame, want: Frame, margins: F64, tolerance: float = TOLERANCE, of: int | None = None,
+    pictures: int = 1,
+) -> Comparison:  # fmt: skip
     """``got`` against ``want``, the reference's float64 picture with its ``margins`` [H, W].
 
     ``of``, if these are only a part of a picture, is the number of all its pixels: as many may
     flip as in the whole, and whether flips lean is left to who sees all of them.
+    With ``pictures=2``, ``want`` is a backend's too, so both may err: twice as far and as often.
     """
     faults = []
+    tolerance *= pictures
     for name in ("rgb", "transmittance", "depth"):
         mine, theirs = getattr(got, name), getattr(want, name)
         if theirs is None:
@@ -98,7 +101,7 @@ def compare_frames(
             f"{int(wrong.sum())} pixels off by more than {tolerance:g} that sit on no threshold; "
             f"the worst, ({x}, {y}), by {error[y, x]:.3g}"
         )
-    allowed = flips_allowed(of or error.size)
+    allowed = pictures * flips_allowed(of or error.size)
     if flips > allowed:
         faults.append(f"{flips} pixels flipped on a threshold; at most {allowed} may")
     # Fair coins: the surplus of one side stays within 4 standard deviations.
