@@ -75,11 +75,10 @@ def test_depths_are_rounded_to_so_many_bits(bits):
     """Of 24 significant bits 32 - bits are 0, and the error is at most half a step."""
     import numpy as np
 
-    from tsplat.core.reference import _rounded
+    from tsplat.core.reference import rounded_depths
 
     depths = np.random.default_rng(1).uniform(0.01, 1e6, 1000).astype(np.float32)
-    split = np.float32(RenderParams(depth_bits=bits).depth_split)
-    rounded = _rounded(depths, split)
+    rounded = rounded_depths(depths.astype(np.float64), RenderParams(depth_bits=bits))
     cut = 32 - bits
     assert not (rounded.view(np.uint32) & np.uint32((1 << cut) - 1)).any()
     assert (abs(rounded - depths) <= np.float32(2.0 ** (cut - 24)) * depths).all()

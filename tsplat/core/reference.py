@@ -161,7 +161,7 @@ def _project_rows(
     columns = {
         "means2d": np.stack([mean_x, mean_y], 1)[kept],
         "factors": np.stack([u11, u12, u22], 1)[kept],
-        "depths": _rounded(z[kept].astype(np.float32), np.float32(params.depth_split)),
+        "depths": rounded_depths(z[kept], params),
         "opacities": opacity[kept],
         "colors": colors,
         "radii": np.stack([radius_x, radius_y], 1)[kept],
@@ -170,10 +170,11 @@ def _project_rows(
     return cast("dict[str, NDArray[np.floating] | I32]", columns), overflowed
 
 
-def _rounded(depths: F32, split: np.float32) -> F32:
-    """See ``RenderParams.depth_split``."""
-    wide = depths * split
-    return wide - (wide - depths)
+def rounded_depths(z: F64, params: RenderParams) -> F32:
+    """Depths as they are compared: float32, in ``params.depth_bits``."""
+    depths = z.astype(np.float32)
+    wide = depths * np.float32(params.depth_split)
+    return np.asarray(wide - (wide - depths), np.float32)
 
 
 def project(

@@ -265,7 +265,7 @@ def row_order(stages: Stages, case: Case, rng: np.random.Generator) -> list[str]
         off = 1e-4 * rng.normal(size=(int(close.sum()), 3))
         means[close] = means[rng.integers(n)] + off.astype(np.float32)
     scene = replace(case.scene, means=means, numbers=None)
-    depths = camera_depths(scene, case.camera).astype(np.float32)
+    depths = reference.rounded_depths(camera_depths(scene, case.camera), case.params)
     _, distinct = np.unique(depths, return_index=True)
     scene = scene.take(np.sort(distinct))
     got = picture(stages, case, scene.take(rng.permutation(len(scene))))
@@ -392,7 +392,7 @@ def resolution(stages: Stages, case: Case, rng: np.random.Generator) -> list[str
 def _split(case: Case, rng: np.random.Generator) -> tuple[Scene, Scene]:
     """The Gaussians nearer than some depth, and the rest, by the contract's order."""
     scene = case.scene
-    depths = camera_depths(scene, case.camera).astype(np.float32)
+    depths = reference.rounded_depths(camera_depths(scene, case.camera), case.params)
     numbers = np.arange(len(scene)) if scene.numbers is None else scene.numbers
     order = np.lexsort((numbers, depths))
     k = int(rng.integers(len(scene) + 1))
