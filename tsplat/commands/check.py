@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             skipped[row.name] = reason
     verdicts: list[tuple[str, Verdict]] = []
-    total = sum(len(row.stages) + 2 for row, _ in loaded)
+    total = sum(len(row.stages) + len(FUNCTIONS) - len(STAGES) for row, _ in loaded)
     with progress_bar("checking") as progress:
         for row, stages in loaded:
             for verdict in check_stages(stages, case):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
+from hypothesis.errors import Flaky
 
 from tsplat.core.errors import ContractError
 from tsplat.core.stages import STAGES, Backend
@@ -41,14 +42,14 @@ def require(verdict: Verdict, what: str) -> None:
 
 @dataclass(frozen=True)
 class Check:
-    """One check of one backend; call it to run it on many examples."""
+    """One check of one backend or presenter; call it to run it on many examples."""
 
     name: str
-    backend: str
+    subject: str  # the backend's or presenter's name
     run: Callable[[], None]
 
     def __str__(self) -> str:
-        return f"{self.backend}-{self.name}"
+        return f"{self.subject}-{self.name}"
 
     def __call__(self) -> None:
         """Runs the check.
@@ -56,18 +57,32 @@ class Check:
         Raises:
             ContractError: an example breaks the contract; hypothesis shows the smallest.
         """
-        self.run()
+        try:
+            self.run()
+        except Flaky as error:  # state, or a race: an example fails, but not when run again
+            raise ContractError(
+                f"{self}: an example fails, but not each time it is run: {error}"
+            ) from error
+
+
+def drawn(max_examples: int) -> settings:
+    """How examples are drawn: no limit of time, one fault at a time."""
+    return settings(
+        max_examples=max_examples,
+        deadline=None,
+        report_multiple_bugs=False,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    )
 
 
 def backend_checks(backend: Backend, max_examples: int = 100) -> list[Check]:
-    """A check for every stage that ``backend`` offers, one for the picture, one for its bits."""
+    """A check for every stage that ``backend`` offers, and those of the whole.
+
+    :mod:`tsplat.testing.checks` says what each of them demands.
+    """
 
     def make(name: str) -> Check:
-        @settings(
-            max_examples=max_examples,
-            deadline=None,
-            suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-        )
+        @drawn(max_examples)
         @given(case=cases())
         def run(case: Case) -> None:
             note(f"{len(case.scene)} Gaussians, {case.camera}, {case.params}")
