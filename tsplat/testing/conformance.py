@@ -7,17 +7,15 @@ def test_conformance(check):
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
-from tsplat.core.errors import ContractError
 from tsplat.core.stages import STAGES, Backend
 from tsplat.plugins import load_backend
-from tsplat.testing.checks import FUNCTIONS, Case, Verdict
+from tsplat.testing.checks import FUNCTIONS, Case, Check, require
 from tsplat.testing.strategies import cameras, params, scenes
+
+__all__ = ["Check", "backend_checks", "cases", "require"]
 
 
 @st.composite
@@ -27,36 +25,6 @@ def cases(draw: st.DrawFn) -> Case:
     return Case(
         scene, draw(cameras(scene)), draw(params()), threads=draw(st.sampled_from((1, 2, 3)))
     )
-
-
-def require(verdict: Verdict, what: str) -> None:
-    """Nothing if the verdict is good.
-
-    Raises:
-        ContractError: it is not; the text lists the faults.
-    """
-    if not verdict.passed:
-        raise ContractError(f"{what}, {verdict.check}: {'; '.join(verdict.faults)}")
-
-
-@dataclass(frozen=True)
-class Check:
-    """One check of one backend; call it to run it on many examples."""
-
-    name: str
-    backend: str
-    run: Callable[[], None]
-
-    def __str__(self) -> str:
-        return f"{self.backend}-{self.name}"
-
-    def __call__(self) -> None:
-        """Runs the check.
-
-        Raises:
-            ContractError: an example breaks the contract; hypothesis shows the smallest.
-        """
-        self.run()
 
 
 def backend_checks(backend: Backend, max_examples: int = 100) -> list[Check]:
