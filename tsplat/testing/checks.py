@@ -27,6 +27,7 @@ import numpy as np
 
 from tsplat.core import reference
 from tsplat.core.camera import Camera
+from tsplat.core.errors import ContractError
 from tsplat.core.params import RenderParams
 from tsplat.core.stages import STAGES, Bin, Composite, Project, Sort, Stages
 from tsplat.core.ties import same_numbers
@@ -50,6 +51,36 @@ class Verdict:
     def passed(self) -> bool:
         """Whether the contract holds."""
         return not self.faults
+
+
+def require(verdict: Verdict, what: str) -> None:
+    """Nothing if the verdict is good.
+
+    Raises:
+        ContractError: it is not; the text lists the faults.
+    """
+    if not verdict.passed:
+        raise ContractError(f"{what}, {verdict.check}: {'; '.join(verdict.faults)}")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check of one backend; call it to run it."""
+
+    name: str
+    subject: str  # the backend's or presenter's name
+    run: Callable[[], None]
+
+    def __str__(self) -> str:
+        return f"{self.subject}-{self.name}"
+
+    def __call__(self) -> None:
+        """Runs the check.
+
+        Raises:
+            ContractError: the contract is broken.
+        """
+        self.run()
 
 
 class Case:

@@ -59,7 +59,11 @@ def _differences(got: Frame, want: Frame) -> F64:
 
 
 def compare_frames(
-    got: Frame, want: Frame, margins: F64, tolerance: float = TOLERANCE
+    got: Frame,
+    want: Frame,
+    margins: F64,
+    tolerance: float = TOLERANCE,
+    crossing: float = CROSSING,
 ) -> Comparison:
     """``got`` against ``want``, the reference's float64 picture with its ``margins`` [H, W]."""
     faults = []
@@ -79,8 +83,8 @@ def compare_frames(
     signed = _differences(got, want)
     error = abs(signed)
     over = error > tolerance
-    crossing = margins < CROSSING
-    flipped, wrong = over & crossing, over & ~crossing
+    on_threshold = margins < crossing
+    flipped, wrong = over & on_threshold, over & ~on_threshold
     flips = int(flipped.sum())
     rest = float(error[~flipped].max(initial=0))
     if wrong.any():

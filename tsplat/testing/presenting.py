@@ -34,15 +34,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from hypothesis import assume, given
+from hypothesis import assume
 from hypothesis import strategies as st
 
 from tsplat.core.errors import ContractError
 from tsplat.core.types import U8, Frame
 from tsplat.presenters.base import Presenter, Terminal
 from tsplat.testing import decoders
-from tsplat.testing.checks import Verdict
-from tsplat.testing.conformance import Check, drawn, require
+from tsplat.testing.checks import Check, Verdict, require
+from tsplat.testing.conformance import drawn_check
 from tsplat.testing.decoders import Decoded, Decoder, decoded
 from tsplat.testing.stream import HOME, area_faults
 
@@ -461,11 +461,9 @@ def presenter_checks(
     cases = _showings(presenter, terminals() if screens is None else screens)
 
     def make(name: str) -> Check:
-        @drawn(max_examples)
-        @given(case=cases)
         def run(case: Showing) -> None:
             require(functions[name](case), f"presenter {presenter.name!r}")
 
-        return Check(name, presenter.name, run)
+        return drawn_check(name, presenter.name, cases, run, max_examples)
 
     return [make(name) for name in functions]
