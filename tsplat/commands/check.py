@@ -9,12 +9,12 @@ from typing import Any
 from tsplat.commands.common import camera_from_file, load, params, print_json, say
 from tsplat.core.camera import Camera
 from tsplat.core.errors import PluginError
-from tsplat.core.stages import Backend, Stages
+from tsplat.core.stages import STAGES, Backend, Stages
 from tsplat.core.workspace import default_threads
 from tsplat.io.progress import progress_bar
 from tsplat.plan import why_not
 from tsplat.plugins import load_backend, plugins
-from tsplat.testing.checks import Case, Verdict, check_stages
+from tsplat.testing.checks import FUNCTIONS, Case, Verdict, check_stages
 from tsplat.views import frame_scene
 
 SIZE = 320, 200

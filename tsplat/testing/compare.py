@@ -64,9 +64,14 @@ def compare_frames(
     margins: F64,
     tolerance: float = TOLERANCE,
     crossing: float = CROSSING,
+    pictures: int = 1,
 ) -> Comparison:
-    """``got`` against ``want``, the reference's float64 picture with its ``margins`` [H, W]."""
+    """``got`` against ``want``, the reference's float64 picture with its ``margins`` [H, W].
+
+    With ``pictures=2``, ``want`` is a backend's too, so both may err: twice as far and as often.
+    """
     faults = []
+    tolerance *= pictures
     for name in ("rgb", "transmittance", "depth"):
         mine, theirs = getattr(got, name), getattr(want, name)
         if theirs is None:
@@ -93,7 +98,7 @@ def compare_frames(
             f"{int(wrong.sum())} pixels off by more than {tolerance:g} that sit on no threshold; "
             f"the worst, ({x}, {y}), by {error[y, x]:.3g}"
         )
-    allowed = max(1, math.ceil(FLIPS_MAX * error.size))
+    allowed = pictures * max(1, math.ceil(FLIPS_MAX * error.size))
     if flips > allowed:
         faults.append(f"{flips} pixels flipped on a threshold; at most {allowed} may")
     # Fair coins: the surplus of one side stays within 4 standard deviations.
