@@ -1,4 +1,4 @@
-"""``tsplat check``: every stage of every available backend against the reference."""
+"""``tsplat check``: every stage of every available backend against the reference, on a scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from tsplat.commands.common import camera_from_file, load, params, print_json, say
 from tsplat.core.camera import Camera
-from tsplat.core.errors import PluginError
+from tsplat.core.errors import ParamsError, PluginError
 from tsplat.core.stages import STAGES, Backend, Stages
 from tsplat.core.workspace import default_threads
 from tsplat.io.progress import progress_bar
@@ -24,6 +24,14 @@ SIDE_MAX = 640
 
 def run(arguments: argparse.Namespace) -> int:
     """Loads, checks, reports; 1 if the contract is broken anywhere."""
+    if arguments.full or arguments.presenter is not None:
+        from tsplat.commands import prove
+
+        return prove.run(arguments)
+    for option in ("examples", "expect_fail", "decode"):
+        if getattr(arguments, option) is not None:
+            name = option.replace("_", "-")
+            raise ParamsError(f"--{name} is for drawn examples: with --full or --presenter")
     registry = plugins()
     if arguments.backend is None:
         rows = sorted(registry.backends.values(), key=lambda b: b.rank)

@@ -283,7 +283,9 @@ def _bytes(*values: object) -> list[bytes]:
 def check_memory(stages: Stages, case: Case) -> Verdict:
     """See the module: results of one workspace outlive calls with another; inputs stay."""
     scene, params = case.scene, case.params
-    half = Case(scene.take(slice(len(scene) // 2, None)), case.camera, params, case.threads)
+    half = Case(
+        scene.take(np.arange(len(scene) // 2, len(scene))), case.camera, params, case.threads
+    )
     stage_by_stage: dict[str, Callable[[Case], tuple[object, ...]]] = {
         "project": lambda c: (c.scene, c.camera, c.params),
         "sort": lambda c: (c.splats,),

@@ -305,7 +305,7 @@ def sixel_percent(body: bytes, terminal: Terminal, faults: list[str]) -> NDArray
         else:
             count = int(token["repeat"] or 1)
             bits = ord(token["repeated"] or token["data"]) - 63
-            if picture is None or (bits and color is None):
+            if picture is None or color is None:
                 raise ContractError("sixels before raster attributes and a colour")
             if x + count > picture.shape[1] or top + bits.bit_length() > len(picture):
                 raise ContractError("sixels outside the raster")

@@ -223,12 +223,11 @@ def _size(presenter: Presenter, terminal: Terminal) -> tuple[int, int]:
     Raises:
         ContractError: it is anything else.
     """
-    size: object = presenter.size(terminal)
+    size: Any = presenter.size(terminal)
     whole = isinstance(size, tuple) and len(size) == 2 and all(isinstance(n, int) for n in size)
-    if not whole or min(size) < 1:  # type: ignore[type-var, arg-type]
+    if not whole or min(size) < 1:
         raise ContractError(f"size: expected two whole numbers from 1 on, got {size!r}")
-    width, height = size  # type: ignore[misc]
-    return width, height
+    return int(size[0]), int(size[1])
 
 
 def _encode(presenter: Presenter, frame: Frame, terminal: Terminal, before: Frame | None) -> bytes:
