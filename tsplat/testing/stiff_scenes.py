@@ -183,9 +183,16 @@ def near_plane() -> Made:
 
 
 def turned_near_plane(drawn: bool) -> Made:
-    """A single Gaussian by one float64 in front of the near plane of a turned camera, or on it."""
-    scene = _scene([[0.1, 0.07, 0.4]], scales=0.05, opacities=0.9)
-    camera = look_at((0.3, -0.2, -0.1), (0.11, 0.05, 0.41), (0.1, -1, 0.2), 50, 48, 48)
+    """A single Gaussian by one float64 in front of the near plane of a turned camera, or on it.
+
+    The means are such that z = r . d summed from the other end, or fused, is one float64 less
+    where it is to be drawn, and one more where it is not.
+    """
+    mean = [-0.16, 0.332, 0.33] if drawn else [-0.168, 0.335, 0.331]
+    scene = _scene([mean], scales=0.05, opacities=0.9)
+    view = np.eye(4)
+    view[:3, :3] = np.array([[2, -1, 2], [2, 2, -1], [-1, 2, 2]]) / 3
+    camera = replace(_camera(), viewmat=view)
     z = float(contract_depth(scene, camera)[0])
     return scene, replace(camera, near=math.nextafter(z, 0) if drawn else z), PLAIN
 
