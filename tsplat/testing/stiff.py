@@ -99,6 +99,11 @@ CASES: tuple[Stiff, ...] = (
         scenes.sizes,
     ),
     Stiff(
+        "the largest that are drawn",
+        "Boxes of 3e9 px do not fit into an int32, and variances are at their limit of 1e18.",
+        scenes.largest,
+    ),
+    Stiff(
         "camera within giants",
         "Their middles are nearly in the camera, where the projection has a pole, or behind it.",
         scenes.giant,

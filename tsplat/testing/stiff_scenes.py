@@ -142,6 +142,17 @@ def sizes() -> Made:
     return _scene(_strewn(19), scales=scales, opacities=0.2), _camera(), WITH_DEPTH
 
 
+def largest() -> Made:
+    """As large as may be drawn, in the picture and a billion px beside it, and a little larger."""
+    px = 5 / FOCAL  # world units at z = 5
+    round_, long = [7e8] * 3, [9.9e8, 0.5, 0.5]
+    scales = px * np.array([round_, long, round_, [2e8] * 3, [7.2e8] * 3, [1.01e9, 0.5, 0.5]])
+    x = px * np.array([0, 3, 1e9, -3e8, 0, 0])
+    means = np.column_stack([x, -0.2 * x, np.full(6, 5.0)])
+    quats = _around((0, 0, 1), [0, 1, 0, 0, 0, 1])
+    return _scene(means, scales=scales, quats=quats, opacities=0.4), _camera(), PLAIN
+
+
 def giant() -> Made:
     """Around the camera: middles beside it, ahead of it and behind it; and small ones within."""
     means = [[0, 0, 1], [0, 0, 0.02], [300, -200, 5], [0, 0, 0], [0, 0, -1], *_strewn(20)]
