@@ -57,6 +57,15 @@ def _near_in_float32(splats, scene, camera, params):
     return _kept(splats, splats.depths > np.float32(camera.near))
 
 
+def _other_order(scene, camera, params):
+    """Camera z of a single Gaussian, summed from the other end; moves the near plane instead."""
+    (d,), (p,) = reference.camera_space(scene, camera, slice(0, 1))
+    r = camera.rotation[2]
+    z = r[0] * d[0] + (r[1] * d[1] + r[2] * d[2])
+    near = np.nextafter(p[2], 0) if z > camera.near else p[2]
+    return scene, replace(camera, near=float(near)), params
+
+
 def _short_factors(splats, scene, camera, params):
     """Factors of 18 bits."""
     bits = splats.factors.view(np.int32) & ~np.int32(63)
@@ -139,6 +148,7 @@ CAUGHT: dict[str, tuple[Stages, list[str]]] = {
         projecting(lambda s, c, p: (s, replace(c, near=np.nextafter(c.near, 0)), p)), [NEAR, ON],
     ),
     "near test in float32": (changed(_near_in_float32), [TURNED]),
+    "z summed in another order": (projecting(_other_order), [TURNED, ON]),
     "far plane drawn": (
         projecting(lambda s, c, p: (s, replace(c, far=np.nextafter(c.far, np.inf)), p)), [NEAR],
     ),

@@ -217,14 +217,12 @@ def _composite(
     t, margins = np.ones((height, width)), np.full((height, width), np.inf)
     open_ = np.ones((height, width), np.bool_)
     stop = params.transmittance_min
-    # Where the threshold is 0, all that is above the floor may be drawn, and more never hurts.
-    least = params.alpha_threshold
+    least = max(params.alpha_threshold, ALPHA_FLOOR)
     for start in range(0, len(drawn.opacity), BATCH):
         rows = slice(start, min(start + BATCH, len(drawn.opacity)))
         for k, alphas in enumerate(_alphas(drawn, rows, width, height), start):
             alpha = np.minimum(alphas, ALPHA_MAX)
-            if least > 0:
-                np.minimum(margins, abs(alpha / least - 1), out=margins, where=open_)
+            np.minimum(margins, abs(alpha / least - 1), out=margins, where=open_)
             reached = open_ & (alpha >= least)
             after = t * (1 - alpha)
             if stop > 0:

@@ -142,6 +142,17 @@ def sizes() -> Made:
     return _scene(_strewn(19), scales=scales, opacities=0.2), _camera(), WITH_DEPTH
 
 
+def largest() -> Made:
+    """As large as may be drawn, in the picture and a billion px beside it, and a little larger."""
+    px = 5 / FOCAL  # world units at z = 5
+    round_, long = [7e8] * 3, [9.9e8, 0.5, 0.5]
+    scales = px * np.array([round_, long, round_, [2e8] * 3, [7.2e8] * 3, [1.01e9, 0.5, 0.5]])
+    x = px * np.array([0, 3, 1e9, -3e8, 0, 0])
+    means = np.column_stack([x, -0.2 * x, np.full(6, 5.0)])
+    quats = _around((0, 0, 1), [0, 1, 0, 0, 0, 1])
+    return _scene(means, scales=scales, quats=quats, opacities=0.4), _camera(), PLAIN
+
+
 def giant() -> Made:
     """Around the camera: middles beside it, ahead of it and behind it; and small ones within."""
     means = [[0, 0, 1], [0, 0, 0.02], [300, -200, 5], [0, 0, 0], [0, 0, -1], *_strewn(20)]
@@ -183,9 +194,16 @@ def near_plane() -> Made:
 
 
 def turned_near_plane(drawn: bool) -> Made:
-    """A single Gaussian by one float64 in front of the near plane of a turned camera, or on it."""
-    scene = _scene([[0.1, 0.07, 0.4]], scales=0.05, opacities=0.9)
-    camera = look_at((0.3, -0.2, -0.1), (0.11, 0.05, 0.41), (0.1, -1, 0.2), 50, 48, 48)
+    """A single Gaussian by one float64 in front of the near plane of a turned camera, or on it.
+
+    The means are such that z = r . d summed from the other end, or fused, is one float64 less
+    where it is to be drawn, and one more where it is not.
+    """
+    mean = [-0.16, 0.332, 0.33] if drawn else [-0.168, 0.335, 0.331]
+    scene = _scene([mean], scales=0.05, opacities=0.9)
+    view = np.eye(4)
+    view[:3, :3] = np.array([[2, -1, 2], [2, 2, -1], [-1, 2, 2]]) / 3
+    camera = replace(_camera(), viewmat=view)
     z = float(contract_depth(scene, camera)[0])
     return scene, replace(camera, near=math.nextafter(z, 0) if drawn else z), PLAIN
 
