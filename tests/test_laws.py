@@ -13,6 +13,7 @@ from tests.conftest import ROOT, gaussians, straight
 from tsplat.core import reference
 from tsplat.core.camera import look_at
 from tsplat.core.params import RenderParams
+from tsplat.core.stages import Backend, Stages
 from tsplat.core.workspace import Workspace
 from tsplat.plugins import load_backend, plugins
 from tsplat.testing import laws
@@ -28,6 +29,22 @@ BACKENDS = [plugins().backends[name] for name in ("numpy", "numba", "cffi")]
 def test_laws(check):
     """The backend obeys this law."""
     check()
+
+
+def test_a_backend_of_one_stage_is_held_to_every_law():
+    """What it does not offer the reference fills in; and its own stage is the one that is used."""
+    calls = []
+
+    def sort(splats, workspace):
+        calls.append(len(splats))
+        return reference.sort(splats)
+
+    sorter = Backend("sorter", "sorts only", lambda: Stages(sort=sort), stages=("sort",))
+    checks = laws.law_checks(sorter, max_examples=3)
+    assert [str(check) for check in checks] == [f"sorter-{name}" for name in laws.LAWS]
+    for check in checks:
+        check()
+    assert len(calls) > 3 * len(checks)
 
 
 @pytest.mark.parametrize("backend", BACKENDS[1:], ids=lambda b: b.name)

@@ -94,6 +94,13 @@ def _weights_made_to_sum(splats, bins, params, workspace):
     return replace(frame, rgb=frame.rgb / np.maximum(1 - frame.transmittance, 1e-3)[..., None])
 
 
+def _not_a_number(splats, bins, params, workspace):
+    """T of pixels that nothing was drawn on is 0 / 0."""
+    frame = reference.composite(splats, bins, params)
+    t = np.where(frame.transmittance == 1, np.float32(np.nan), frame.transmittance)
+    return replace(frame, transmittance=t)
+
+
 NEW = {
     "near plane in units of its own": replace(REFERENCE, project=_near_of_its_own),
     "behind through the lens": replace(REFERENCE, project=_through_the_lens),
@@ -105,6 +112,7 @@ NEW = {
     "short tile lists": replace(REFERENCE, composite=_short_lists),
     "last frame of this size": replace(REFERENCE, composite=_kept_by_size),
     "splats side by side": replace(REFERENCE, composite=_exclusive),
+    "T not a number": replace(REFERENCE, composite=_not_a_number),
     "weights made to sum to 1": replace(REFERENCE, composite=_weights_made_to_sum),
 }
 """Wrong backends that break laws, beside those of tests/meta/wrong.py."""
@@ -120,11 +128,17 @@ CATCHES = {
     "invisible": ("behind through the lens", "no threshold anywhere", "last Gaussian dropped"),
     "crop": ("mirrored", "full tiles only", "small boxes"),
     "resolution": ("half a pixel off", "footprint of 16 px"),
-    "added_behind": ("stopping splat drawn", "alpha for transmittance", "weights made to sum to 1"),
+    "added_behind": (
+        "stopping splat drawn",
+        "alpha for transmittance",
+        "weights made to sum to 1",
+        "NaN where opaque",
+        "T not a number",
+    ),
     "added_in_front": ("alpha for transmittance", "short tile lists"),
-    "product": ("splats side by side", "stop too early", "short tile lists"),
+    "product": ("splats side by side", "stop too early", "short tile lists", "T not a number"),
     "sh_turns": ("one harmonic's sign", "wrong SH order"),
-    "energy": ("antialias ignored", "splats listed twice"),
+    "energy": ("antialias ignored", "splats listed twice", "T not a number"),
     "background": ("alpha for transmittance", "alpha cap missing", "weights made to sum to 1"),
     "bits": ("threads differ", "runs differ", "last frame of this size"),
     "tiles": ("short tile lists",),
