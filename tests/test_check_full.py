@@ -93,6 +93,7 @@ def test_without_a_decoder_only_the_bytes_are_judged(mirrored):
         (("--presenter", "teletype"), "no presenter named 'teletype'"),
         (("--full", "--backend", "gpu"), "no backend named 'gpu'"),
         (("scene.ply", "--full"), "leave out"),
+        (("--full", "--decode", "kitty"), "name it with --presenter"),
         ((), "--full or --presenter"),
     ],
 )

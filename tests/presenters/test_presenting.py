@@ -14,7 +14,7 @@ from tsplat.testing.stream import area_faults, tokens
 CHECKS = [
     check
     for name, decoding in DECODINGS.items()
-    for check in presenter_checks(plugins().presenters[name], decoding, max_examples=60)
+    for check in presenter_checks(plugins().presenters[name], decoding, max_examples=40)
 ]
 SCREEN = Terminal(columns=4, rows=3)
 

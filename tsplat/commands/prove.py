@@ -30,6 +30,8 @@ def run(arguments: argparse.Namespace) -> int:
     for option in ("scene", "camera", "size", "threads", "antialias"):
         if getattr(arguments, option):
             raise ParamsError(f"--full and --presenter draw their own examples: leave out {option}")
+    if arguments.decode and arguments.presenter is None:
+        raise ParamsError("--decode is for one presenter: name it with --presenter")
     try:
         import hypothesis
         from hypothesis.configuration import set_hypothesis_home_dir
