@@ -245,10 +245,10 @@ def test_check_proves_every_backend(ply, camera_file):
     facts = json.loads(tsplat("check", ply, "--camera", camera_file, "--json").stdout)
     assert facts["passed"] is True
     told = {(c["backend"], c["check"]) for c in facts["checks"]}
-    checks = ("project", "sort", "bin", "composite", "picture", "bits")
+    checks = ("project", "sort", "bin", "composite", "picture", "bits", "memory")
     assert told == {(b, c) for b in ("numpy", "numba", "cffi") for c in checks}
     table = tsplat("check", ply, "--backend", "cffi", "--size", "40x30").stdout.decode()
-    assert table.count("holds") == 6
+    assert table.count("holds") == 7
 
 
 BROKEN = """

@@ -6,10 +6,14 @@ import inspect
 import re
 
 import pytest
+from hypothesis import Phase, settings
 
 from tests.conftest import ROOT
 from tsplat import hookspecs
 from tsplat.cli import COMMANDS, make_parser
+from tsplat.core.errors import ContractError
+from tsplat.testing.conformance import backend_checks
+from tsplat.testing.presenting import BYTES_ALONE, DECODED, DECODINGS, presenter_checks
 
 DOCS = ROOT / "docs"
 
@@ -25,16 +29,93 @@ def without_docstring(source):
 
 
 @pytest.mark.parametrize(
-    ("page", "module"),
+    ("page", "file"),
     [
         ("backends.md", "tsplat-bitsort/tsplat_bitsort.py"),
+        ("backends.md", "tsplat-bitsort/test_bitsort.py"),
         ("presenters.md", "tsplat-ascii/tsplat_ascii.py"),
     ],
 )
-def test_the_tutorials_show_the_examples_as_they_are(page, module):
+def test_the_tutorials_show_the_examples_as_they_are(page, file):
     """The code on the page is the code that the tests install and run."""
-    shown = blocks(DOCS / page, "python")[0]
-    assert shown == without_docstring((ROOT / "examples" / module).read_text())
+    text = without_docstring((ROOT / "examples" / file).read_text())
+    assert text in blocks(DOCS / page, "python")
+
+
+def test_the_tutorial_shows_the_entry_point_of_the_example():
+    """What the page wants in pyproject.toml is in the example's."""
+    (shown,) = blocks(DOCS / "backends.md", "toml")
+    assert shown in (ROOT / "examples" / "tsplat-bitsort" / "pyproject.toml").read_text()
+
+
+@pytest.fixture
+def quick():
+    """Failing examples are not made small: that they exist is enough."""
+    settings.register_profile("docs", settings.default, phases=[Phase.generate], database=None)
+    settings.load_profile("docs")
+    yield
+    settings.load_profile("tsplat")
+
+
+@pytest.fixture
+def on_path(monkeypatch):
+    """The example's module can be imported, as where it is installed."""
+    monkeypatch.syspath_prepend(ROOT / "examples" / "tsplat-bitsort")
+
+
+def run_page(page):
+    """Runs the Python blocks of a page in order, in one namespace; the errors that they raise."""
+    namespace, errors = {}, []
+    for number, code in enumerate(blocks(DOCS / page, "python")):
+        try:
+            exec(compile(code, f"{page}, block {number}", "exec"), namespace)
+        except ContractError as error:
+            errors.append(str(error))
+    return namespace, errors
+
+
+def caught(checks):
+    """Names of those that fail."""
+    names = set()
+    for check in checks:
+        try:
+            check()
+        except ContractError:
+            names.add(check.name)
+    return names
+
+
+def shown_errors(page):
+    """What the page says is raised, as patterns."""
+    found = re.findall(r"raises `ContractError: (.*?)`", (DOCS / page).read_text(), re.S)
+    return [re.escape(" ".join(text.split())).replace(r"\.\.\.", ".*") for text in found]
+
+
+@pytest.mark.usefixtures("on_path", "quick")
+def test_the_backend_tutorial_runs():
+    """The first try fails as the page says; the second passes; the page's tests have all checks."""
+    namespace, errors = run_page("backends.md")
+    (pattern,) = shown_errors("backends.md")
+    assert len(errors) == 1
+    assert re.match(pattern, errors[0])
+    assert caught(backend_checks(namespace["BITSORT"], max_examples=10)) == set()
+    marks = [namespace[name].pytestmark[0] for name in ("test_conformance", "test_laws")]
+    assert {check.name for check in marks[0].args[1]} == {"sort", "picture", "bits", "memory"}
+    assert len(marks[1].args[1]) > 10
+
+
+@pytest.mark.usefixtures("quick")
+def test_the_presenter_tutorial_runs():
+    """The first try breaks the one rule that the page says; the second keeps all."""
+    namespace, errors = run_page("presenters.md")
+    (pattern,) = shown_errors("presenters.md")
+    assert len(errors) == 1
+    assert re.match(pattern, errors[0])
+    kitty = DECODINGS["kitty"]
+    assert caught(presenter_checks(namespace["FIRST_TRY"], kitty, max_examples=40)) == {"stream"}
+    assert caught(presenter_checks(namespace["SECOND_TRY"], kitty, max_examples=40)) == set()
+    shown = namespace["test_conformance"].pytestmark[0].args[1]
+    assert {check.name for check in shown} == {*BYTES_ALONE, *DECODED}
 
 
 def test_every_hook_is_documented():

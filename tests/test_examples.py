@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -27,20 +28,24 @@ def python(tmp_path_factory):
     hook = "".join(f"import site; site.addsitedir({path!r})\n" for path in here)
     (home / paths["purelib"] / "outer.pth").write_text(hook)
     interpreter = home / "bin" / "python"
-    for name in EXAMPLES:
-        source = shutil.copytree(ROOT / "examples" / name, home / "source" / name)
-        subprocess.run(
-            [interpreter, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index",
-             "--no-build-isolation", "--disable-pip-version-check", source],
-            check=True, capture_output=True,
-        )  # fmt: skip
+    sources = [
+        shutil.copytree(ROOT / "examples" / name, home / "source" / name) for name in EXAMPLES
+    ]
+    wheels = home / "wheels"
+    offline = ["--quiet", "--no-deps", "--no-index", "--disable-pip-version-check"]
+    pip = [interpreter, "-m", "pip"]
+    for command in (
+        ["wheel", *offline, "--no-build-isolation", "--wheel-dir", wheels, *sources],
+        ["install", *offline, "--find-links", wheels, *EXAMPLES],
+    ):
+        subprocess.run([*pip, *command], check=True, capture_output=True)
     return interpreter
 
 
-def tsplat(python, *words):
+def tsplat(python, *words, cwd=None):
     """Runs tsplat in that venv; what it wrote to stdout."""
     result = subprocess.run(
-        [python, "-m", "tsplat", *map(str, words)], capture_output=True, check=True
+        [python, "-m", "tsplat", *map(str, words)], capture_output=True, check=True, cwd=cwd
     )
     return result.stdout
 
@@ -68,7 +73,30 @@ def test_the_backend_runs_its_stage_and_keeps_the_contract(python, tmp_path):
         tsplat(python, "check", "--backend", "bitsort", "--size", "64x40", "--json")
     )
     assert checked["passed"] is True
-    assert {c["check"] for c in checked["checks"]} == {"sort", "picture", "bits"}
+    assert {c["check"] for c in checked["checks"]} == {"sort", "picture", "bits", "memory"}
+
+
+def commands(page):
+    """The command lines of a page in docs."""
+    text = (ROOT / "docs" / page).read_text()
+    lines = "".join(re.findall(r"```sh\n(.*?)```", text, re.S)).splitlines()
+    assert lines
+    return [line.split() for line in lines]
+
+
+@pytest.mark.parametrize("page", ["backends.md", "presenters.md"])
+def test_the_tutorials_commands_run(python, tmp_path, page):
+    """Each command of the page does what the page says, of few examples; the proof passes."""
+    for program, *words in commands(page):
+        assert program == "tsplat"
+        drawn = words[0] == "check" and ("--full" in words or "--presenter" in words)
+        more = ("--examples", "2", "--json") if drawn else ()
+        said = tsplat(python, *words, *more, cwd=tmp_path)
+        if drawn:
+            facts = json.loads(said)
+            assert facts["passed"] is True
+            assert {check["verdict"] for check in facts["checks"]} == {"holds"}
+            assert {check["name"] for check in facts["checks"]} <= {"bitsort", "ascii"}
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

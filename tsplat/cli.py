@@ -68,8 +68,16 @@ CHECK_EXAMPLES = """\
 examples:
   tsplat check                            every backend on the demo scene
   tsplat check scene.ply --backend cffi --size 1280x720 --json
+  tsplat check --full --backend mine      all of a backend, on hundreds of drawn scenes
+  tsplat check --full --backend mine --examples 1000 --expect-fail laws/tiles,bits
+  tsplat check --full --expect-fail @expected.txt
+  tsplat check --presenter mine           a presenter, by its bytes alone
+  tsplat check --presenter mine --decode kitty
+  tsplat check --presenter mine --decode my_module:decode
 
-Every stage gets the reference's input. Exit code 1 if the contract is broken anywhere.
+On a scene every stage gets the reference's input. Exit code 1 if the contract is broken anywhere,
+or if a check holds that was expected to fail. --full and --presenter need hypothesis:
+pip install "tsplat[test]".
 """
 BENCH_EXAMPLES = """\
 examples:
@@ -299,6 +307,25 @@ def make_parser() -> argparse.ArgumentParser:
         "--sh-degree", type=int, choices=range(4), default=3, metavar="D", help="0 to 3 (default)"
     )
     check.add_argument("--json", action="store_true", help="print the verdicts as JSON")
+    kit = check.add_argument_group("drawn examples", "no scene is named: they draw their own")
+    kit.add_argument(
+        "--full", action="store_true",
+        help="every check of --backend; without it, of all backends and presenters",
+    )  # fmt: skip
+    kit.add_argument("--presenter", metavar="P", help="every check of this presenter")
+    kit.add_argument(
+        "--decode", metavar="D",
+        help="what reads the presenter's bytes: kitty, iterm2, sixel, halfblock or MODULE:NAME "
+        "(a built-in presenter's own)",
+    )  # fmt: skip
+    kit.add_argument(
+        "--examples", type=_count, metavar="N", help="drawn for each check (100); always the same"
+    )
+    kit.add_argument(
+        "--expect-fail", action="append", metavar="CHECK,...|@FILE",
+        help="checks known to fail, in a file one a line, # for notes; one that holds is an error",
+    )  # fmt: skip
+
     bench = add("bench", "measure what each shortcut costs and saves", BENCH_EXAMPLES)
     _add_scene(bench)
     bench.add_argument("--backend", metavar="B[,B]", help="default: all but the reference")

@@ -1,9 +1,11 @@
 """A presenter is pure, so its test needs no terminal."""
 
 import numpy as np
-from tsplat_ascii import encode, size
+import pytest
+from tsplat_ascii import ASCII, encode, size
 
 from tsplat import Frame, Terminal
+from tsplat.testing.presenting import presenter_checks
 
 
 def test_bright_is_dense():
@@ -13,3 +15,8 @@ def test_bright_is_dense():
     rgb[0, 1], rgb[1, 2] = 0.5, 1.0
     shown = encode(Frame(rgb, np.zeros((height, width), np.float32)), terminal, None)
     assert shown == b" + \r\n  @"
+
+
+@pytest.mark.parametrize("check", presenter_checks(ASCII), ids=str)
+def test_conformance(check):
+    check()

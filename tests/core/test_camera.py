@@ -88,6 +88,7 @@ def test_resizing_scales_k_per_axis():
     [
         ({"viewmat": np.diag([-1.0, 1, 1, 1])}, "reflection"),
         ({"viewmat": np.diag([2.0, 1, 1, 1])}, "orthonormal"),
+        ({"viewmat": np.diag([1e200, 1, 1, 1])}, "orthonormal"),
         ({"viewmat": np.eye(4).T + np.eye(4, k=-3)}, "last row"),
         ({"viewmat": np.full((4, 4), np.nan)}, "finite"),
         ({"viewmat": np.eye(3)}, "4 x 4"),
@@ -97,6 +98,8 @@ def test_resizing_scales_k_per_axis():
         ({"width": 1 << 20, "height": 1 << 20}, "size"),
         ({"near": 2.0, "far": 1.0}, "near"),
         ({"near": float("nan")}, "near"),
+        ({"far": float("nan")}, "near"),
+        ({"near": 2e38, "far": float("inf")}, "near"),
     ],
 )
 def test_impossible_cameras_are_refused_with_the_reason(change, word):
@@ -104,6 +107,12 @@ def test_impossible_cameras_are_refused_with_the_reason(change, word):
     good = {"viewmat": np.eye(4), "K": intrinsics(10, 10, 50), "width": 10, "height": 10}
     with pytest.raises(CameraError, match=word):
         Camera(**{**good, **change})
+
+
+def test_the_far_plane_is_within_float32():
+    """An infinite one is taken for 1e38: farther depths would be infinite in Frame.depth."""
+    camera = Camera(np.eye(4), intrinsics(10, 10, 50), 10, 10, far=float("inf"))
+    assert camera.far == 1e38
 
 
 @pytest.mark.parametrize(

@@ -307,6 +307,17 @@ def test_a_camera_may_be_anything_but_impossible():
     )
 
 
+def test_underflow_is_no_error():
+    """Alphas far away and light behind many layers are 0, even where NumPy is told to raise."""
+    scene = gaussians([[0, 0, 4]] * 60, opacities=[1.0] * 60, scales=0.01)
+    for float64 in (False, True):
+        params = RenderParams(transmittance_min=0.0, float64=float64)
+        with np.errstate(all="raise"):
+            frame = picture(scene, straight(101, 101), params)
+        assert frame.transmittance.min() < 1e-38
+        assert frame.transmittance.max() == 1
+
+
 def test_scene_rows_are_taken_in_order():
     """Scene.take keeps rows together; gaussian_ids say which row a splat came from."""
     scene = gaussians([[0, 0, 9], [0, 0, -1], [0, 0, 4]])

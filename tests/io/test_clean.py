@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from tsplat.core.errors import SceneError
 from tsplat.io import scene_from_arrays
 from tsplat.io.base import sample_rows
-from tsplat.io.clean import CHUNK, DETAIL, detail_origin
+from tsplat.io.clean import CHUNK, DETAIL, SH_MAX, detail_origin
+from tsplat.io.half import SH_PEAKS
 
 ANY = [np.float16, np.float32, np.float64, np.longdouble]
 
@@ -92,6 +93,8 @@ FAULTS = [
     ("opacities", 1.001, "opacity outside 0..1"),
     ("sh", np.nan, "colour not finite"),
     ("sh", np.inf, "colour not finite"),
+    ("sh", 3e38, "colour not finite"),
+    ("sh", -3e38, "colour not finite"),
 ]
 
 
@@ -115,6 +118,28 @@ def test_a_row_with_two_faults_counts_once():
     scene = scene_from_arrays(**given_arrays, dropped={"too far": 3})
     assert dict(scene.dropped) == {"too far": 3, "mean not finite": 1}
     assert len(scene) == 3
+
+
+def test_no_colour_that_is_kept_can_overflow():
+    """Sixteen coefficients as large as may be make a finite colour along every direction's peak."""
+    assert 0.5 + SH_MAX * sum(SH_PEAKS) < np.finfo(np.float32).max
+    given_arrays = arrays(3, 16)
+    given_arrays["sh"][1] = SH_MAX
+    given_arrays["sh"][2] = -np.nextafter(np.float32(SH_MAX), np.float32(np.inf))
+    assert scene_from_arrays(**given_arrays).dropped == {"colour not finite": 1}
+
+
+def test_underflow_is_no_error():
+    """What is below float32 becomes 0, or close to it, even where NumPy is told to raise."""
+    given_arrays = arrays(4, dtype=np.float64)
+    given_arrays["quats"][:] = [1, 1e-200, 0, 0]
+    given_arrays["scales"][0] = 1e-300
+    given_arrays["sh"][1] = 1e-42
+    given_arrays["means"][2] = 1e-320
+    with np.errstate(all="raise"):
+        scene = scene_from_arrays(**given_arrays)
+    assert not scene.dropped
+    assert not scene.scales[0].any()
 
 
 def test_opacity_of_rounding_is_clipped():

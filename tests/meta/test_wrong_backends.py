@@ -3,22 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import Phase, settings
 
 from tests.meta.wrong import REFERENCE, WRONG
 from tsplat.core.errors import ContractError
 from tsplat.core.stages import Backend
 from tsplat.testing.checks import FUNCTIONS
 from tsplat.testing.conformance import backend_checks
-
-
-@pytest.fixture(autouse=True)
-def _quick():
-    """Failing examples are neither made small nor remembered: that they exist is enough."""
-    settings.register_profile("meta", settings.default, phases=[Phase.generate], database=None)
-    settings.load_profile("meta")
-    yield
-    settings.load_profile("tsplat")
 
 
 def checks(name, stages, examples=400):
@@ -39,11 +29,11 @@ def test_a_wrong_backend_is_caught(name):
 
 @pytest.mark.parametrize("name", WRONG)
 def test_nothing_else_is_caught(name):
-    """A fault in one stage leaves the checks of the other stages content."""
+    """A fault in one stage leaves the checks of the other stages, of bits and memory content."""
     stages, meant = WRONG[name]
-    made = backend_checks(Backend(name, "wrong on purpose", lambda: stages), max_examples=30)
+    made = backend_checks(Backend(name, "wrong on purpose", lambda: stages), max_examples=12)
     for check in made:
-        if check.name in ("project", "sort", "bin", "composite") and check.name not in meant:
+        if check.name != "picture" and check.name not in meant:
             check()
 
 

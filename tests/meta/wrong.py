@@ -217,7 +217,53 @@ def _remembers(splats, bins, params, workspace):
     return replace(frame, rgb=frame.rgb + np.float32(1e-6 * (_state["calls"] % 7)))
 
 
+def _seam_race(splats, bins, params, workspace):
+    """Two threads both draw the row where their halves meet, and whoever is last wins."""
+    frame = reference.composite(splats, bins, params)
+    rgb = frame.rgb.copy()
+    rgb[len(rgb) // 2] += np.float32(1e-6) * _race.integers(2)
+    return replace(frame, rgb=rgb)
+
+
+_race = np.random.default_rng()
+_shared: dict[str, np.ndarray] = {}
+
+
+def _kept(name, array):
+    """``array`` in memory that every call of this process shares."""
+    if _shared.get(name) is None or _shared[name].size < array.size:
+        _shared[name] = np.empty(array.size, array.dtype)
+    kept = _shared[name][: array.size].reshape(array.shape)
+    kept[...] = array
+    return kept
+
+
+def _shared_splats(splats, scene, camera, params):
+    return replace(splats, means2d=_kept("means2d", splats.means2d))
+
+
+def _shared_order(splats, workspace):
+    return _kept("order", reference.sort(splats))
+
+
+def _shared_bins(splats, order, workspace):
+    bins = reference.bin(splats, order)
+    return replace(bins, splat_ids=_kept("splat_ids", bins.splat_ids))
+
+
+def _shared_frame(splats, bins, params, workspace):
+    frame = reference.composite(splats, bins, params)
+    return replace(frame, rgb=_kept("rgb", frame.rgb))
+
+
+def _faded(splats, workspace):
+    """The right order, but the splats it was given are fainter afterwards."""
+    splats.opacities[...] /= 2
+    return reference.sort(splats)
+
+
 P = ("project", "picture")
+M = ("memory",)
 C = ("composite", "picture")
 WRONG = {
     "mirrored": (_splats(_mirrored), P),
@@ -254,6 +300,12 @@ WRONG = {
     "NaN where opaque": (replace(REFERENCE, composite=_nan), C),
     "threads differ": (replace(REFERENCE, composite=_thread_race), ("bits",)),
     "runs differ": (replace(REFERENCE, composite=_remembers), ("bits",)),
+    "thread race at a seam": (replace(REFERENCE, composite=_seam_race), ("bits",)),
+    "splats in shared memory": (_splats(_shared_splats), M),
+    "order in shared memory": (replace(REFERENCE, sort=_shared_order), M),
+    "bins in shared memory": (replace(REFERENCE, bin=_shared_bins), M),
+    "frame in shared memory": (replace(REFERENCE, composite=_shared_frame), M),
+    "input changed in place": (replace(REFERENCE, sort=_faded), (*M, "picture")),
 }
 """Name -> the stages, and the checks that must catch them."""
 

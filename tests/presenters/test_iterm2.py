@@ -1,11 +1,14 @@
 """iTerm2's bytes hold a JPEG of the frame at its own size."""
 
-import decoders
+import io
+
 import pytest
 from pictures import frame_of, photo, psnr
+from PIL import Image
 
 from tsplat.presenters.base import Terminal
 from tsplat.presenters.iterm2 import ITERM2
+from tsplat.testing import decoders
 
 ROOM = Terminal(columns=400, rows=100, iterm2=True)
 
@@ -14,18 +17,21 @@ ROOM = Terminal(columns=400, rows=100, iterm2=True)
 def test_jpeg_of_the_same_size(width, height):
     """A JPEG of the frame's size, shown pixel for pixel; its length is declared (VS Code)."""
     image = photo(width, height)
-    keys, form, pixels = decoders.iterm2(ITERM2.encode(frame_of(image), ROOM, None))
-    assert form == "JPEG"
+    data = ITERM2.encode(frame_of(image), ROOM, None)
+    [(keys, file)] = decoders.iterm2_files(data)
+    assert Image.open(io.BytesIO(file)).format == "JPEG"
     assert (keys["width"], keys["height"]) == (f"{width}px", f"{height}px")
     assert (keys["inline"], keys["doNotMoveCursor"]) == ("1", "1")
-    assert pixels.shape == image.shape
+    shown = decoders.iterm2(data, ROOM)
+    assert shown.faults == ()
+    assert shown.picture.shape == image.shape
 
 
 def test_quality():
     """A photo-like frame comes out at 35 dB or more, in a tenth of its raw size."""
     image = photo()
     data = ITERM2.encode(frame_of(image), ROOM, None)
-    assert psnr(decoders.iterm2(data)[2], image) > 35
+    assert psnr(decoders.iterm2(data, ROOM).picture, image) > 35
     assert len(data) < image.size / 10
 
 

@@ -2,30 +2,39 @@
 
 import re
 
-import decoders
 import numpy as np
 import pytest
 from pictures import frame_of, photo
 
 from tsplat.presenters.base import Terminal
 from tsplat.presenters.kitty import KITTY
+from tsplat.testing import decoders
 
 ROOM = Terminal(columns=400, rows=100, kitty=True)
+
+
+def commands(data):
+    """The commands of a stream that breaks no rule for chunks."""
+    faults = []
+    found = decoders.kitty_commands(data, faults)
+    assert faults == []
+    return found
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (3, 7), (64, 36), (255, 129)])
 def test_pixels_arrive_exactly(width, height):
     """The decoded picture is the frame's 8-bit one, whatever its size."""
     image = photo(width, height)
-    [(keys, payload)] = decoders.kitty(KITTY.encode(frame_of(image), ROOM, None))
-    np.testing.assert_array_equal(decoders.kitty_picture(keys, payload), image)
+    shown = decoders.kitty(KITTY.encode(frame_of(image), ROOM, None), ROOM)
+    assert shown.faults == ()
+    np.testing.assert_array_equal(shown.picture, image)
 
 
 def test_keys_replace_in_place_and_stay_silent():
     """One image and one placement id for all frames, cursor kept (C=1), no answers (q=2)."""
     ids = set()
     for seed in (1, 2):
-        [(keys, _)] = decoders.kitty(KITTY.encode(frame_of(photo(8, 8, seed)), ROOM, None))
+        [(keys, _)] = commands(KITTY.encode(frame_of(photo(8, 8, seed)), ROOM, None))
         assert (keys["a"], keys["C"], keys["q"]) == ("T", "1", "2")
         ids.add((keys["i"], keys["p"]))
     [(image_id, _)] = ids
@@ -33,8 +42,9 @@ def test_keys_replace_in_place_and_stay_silent():
 
 
 def test_chunks_are_short_and_the_first_has_data():
-    """No base64 chunk is over 4096 bytes, the first is not empty; the decoder asserts both."""
+    """No base64 chunk is over 4096 bytes, all but the last are full; the decoder agrees."""
     data = KITTY.encode(frame_of(photo(200, 100)), ROOM, None)
+    commands(data)
     chunks = re.findall(rb"m=([01]);([^\x1b]*)", data)
     assert len(chunks) > 2
     assert [more for more, _ in chunks] == [b"1"] * (len(chunks) - 1) + [b"0"]
@@ -54,8 +64,8 @@ def test_an_unchanged_picture_costs_nothing():
 
 def test_clear_deletes_that_image_and_its_data():
     """Clear is d=I with the id that encode uses."""
-    [(sent, _)] = decoders.kitty(KITTY.encode(frame_of(photo(2, 2)), ROOM, None))
-    [(keys, _)] = decoders.kitty(KITTY.clear(ROOM))
+    [(sent, _)] = commands(KITTY.encode(frame_of(photo(2, 2)), ROOM, None))
+    [(keys, _)] = commands(KITTY.clear(ROOM))
     assert (keys["a"], keys["d"], keys["i"]) == ("d", "I", sent["i"])
 
 

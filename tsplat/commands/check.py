@@ -1,4 +1,4 @@
-"""``tsplat check``: every stage of every available backend against the reference."""
+"""``tsplat check``: every stage of every available backend against the reference, on a scene."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 
 from tsplat.commands.common import camera_from_file, load, params, print_json, say
 from tsplat.core.camera import Camera
-from tsplat.core.errors import PluginError
-from tsplat.core.stages import Backend, Stages
+from tsplat.core.errors import ParamsError, PluginError
+from tsplat.core.stages import STAGES, Backend, Stages
 from tsplat.core.workspace import default_threads
 from tsplat.io.progress import progress_bar
 from tsplat.plan import why_not
 from tsplat.plugins import load_backend, plugins
-from tsplat.testing.checks import Case, Verdict, check_stages
+from tsplat.testing.checks import FUNCTIONS, Case, Verdict, check_stages
 from tsplat.views import frame_scene
 
 SIZE = 320, 200
@@ -24,6 +24,14 @@ SIDE_MAX = 640
 
 def run(arguments: argparse.Namespace) -> int:
     """Loads, checks, reports; 1 if the contract is broken anywhere."""
+    if arguments.full or arguments.presenter is not None:
+        from tsplat.commands import prove
+
+        return prove.run(arguments)
+    for option in ("examples", "expect_fail", "decode"):
+        if getattr(arguments, option) is not None:
+            name = option.replace("_", "-")
+            raise ParamsError(f"--{name} is for drawn examples: with --full or --presenter")
     registry = plugins()
     if arguments.backend is None:
         rows = sorted(registry.backends.values(), key=lambda b: b.rank)
@@ -46,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             skipped[row.name] = reason
     verdicts: list[tuple[str, Verdict]] = []
-    total = sum(len(row.stages) + 2 for row, _ in loaded)
+    total = sum(len(row.stages) + len(FUNCTIONS) - len(STAGES) for row, _ in loaded)
     with progress_bar("checking") as progress:
         for row, stages in loaded:
             for verdict in check_stages(stages, case):

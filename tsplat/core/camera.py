@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsplat.core.constants import FAR, NEAR
+from tsplat.core.constants import FAR, FAR_MAX, NEAR
 from tsplat.core.errors import CameraError
 from tsplat.core.types import F64
 
@@ -33,7 +33,7 @@ class Camera:
     width: int  # px
     height: int  # px
     near: float = NEAR  # world units
-    far: float = FAR  # world units
+    far: float = FAR  # world units; FAR_MAX at most, whatever is asked for
 
     def __post_init__(self) -> None:
         viewmat = np.array(self.viewmat, np.float64)
@@ -52,6 +52,8 @@ class Camera:
                 f"Camera: expected a size from 1x1 to {PIXELS_MAX} pixels in all, "
                 f"got {self.width}x{self.height}"
             )
+        # Beyond it depths would be infinite in float32. NaN stays NaN, and is refused.
+        object.__setattr__(self, "far", FAR_MAX if self.far > FAR_MAX else self.far)
         if not 0 < self.near < self.far:
             raise CameraError(f"Camera: expected 0 < near < far, got {self.near} and {self.far}")
         fx, fy = intrinsics[0, 0], intrinsics[1, 1]
@@ -69,8 +71,9 @@ class Camera:
                 f"Camera.viewmat: expected [0, 0, 0, 1] as its last row, got {viewmat[3].tolist()}."
                 " The matrix is row-major; transpose one that is column-major."
             )
-        off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-        if off > 1e-3:
+        with np.errstate(all="ignore"):  # what overflows is far off, or not a number
+            off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+        if not off <= 1e-3:
             raise CameraError(
                 f"Camera.viewmat: expected a rotation, but rows are off orthonormal by {off:.3g}. "
                 "Scale and shear belong into the scene."

@@ -12,6 +12,9 @@ NEAR = 0.01
 FAR = 1e10
 """World units; Gaussians at or behind it are not drawn (gsplat ``far_plane``)."""
 
+FAR_MAX = 1e38
+"""World units; no far plane is farther, for float32 ends at 3.4e38 and depths must be finite."""
+
 EPS2D = 0.3
 """px^2 added to both variances of a projected Gaussian: the low-pass filter of EWA splatting
 (Zwicker et al. 2001, eq. 35; INRIA forward.cu ``0.3f``; gsplat ``eps2d``)."""

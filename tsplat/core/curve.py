@@ -41,7 +41,7 @@ def curve_order(means: F32) -> I32:
     for start in range(0, n, PIECE):
         piece = slice(start, start + PIECE)
         for axis, table in enumerate(tables):
-            with np.errstate(over="ignore", invalid="ignore"):
+            with np.errstate(over="ignore", invalid="ignore", under="ignore"):
                 cell = (means[piece, axis] - np.float32(low[axis])) * np.float32(scale[axis])
             cell = np.fmin(np.fmax(cell, 0), CELLS - 1)  # what overflowed, too
             keys[piece] |= table[cell.astype(np.intp)]

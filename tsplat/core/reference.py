@@ -183,16 +183,17 @@ def project(
     """See :class:`tsplat.core.stages.Project`."""
     dtype = np.float64 if params.float64 else np.float32
     parts, overflowed = [], 0
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is dropped and counted
+    # What overflows is dropped and counted; what underflows is 0 to float32 as well.
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         for start in range(0, max(len(scene), 1), ROWS):
             part, over = _project_rows(
                 scene, camera, params, slice(start, min(start + ROWS, len(scene)))
             )
             parts.append(part)
             overflowed += over
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    for name in ("factors", "opacities", "colors", "radii"):
-        columns[name] = columns[name].astype(dtype)
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        for name in ("factors", "opacities", "colors", "radii"):
+            columns[name] = columns[name].astype(dtype)
     return Splats(
         **columns, width=camera.width, height=camera.height, overflowed=overflowed,
         numbers=scene.numbers_of(columns["gaussian_ids"]),
@@ -267,6 +268,18 @@ def composite(
     depth = np.zeros(shape, dtype) if params.depth else None
     if margins is not None:
         margins[:] = np.inf
+    # An alpha far from its splat, and light behind many layers, underflow to 0, as they should.
+    with np.errstate(under="ignore"):
+        _composite_tiles(splats, bins, params, rgb, transmittance, depth, margins)
+    return Frame(cast(Floats, rgb), cast(Floats, transmittance), cast("Floats | None", depth))
+
+
+def _composite_tiles(
+    splats: Splats, bins: Bins, params: RenderParams, rgb: NDArray[np.floating],
+    transmittance: NDArray[np.floating], depth: NDArray[np.floating] | None, margins: F64 | None,
+) -> None:  # fmt: skip
+    """Adds every tile's splats to the picture."""
+    dtype = rgb.dtype.type
     for rows, columns, ids in tiles(splats, bins):
         y = np.arange(rows.start, rows.stop)[:, None] + 0.5
         x = np.arange(columns.start, columns.stop)[None, :] + 0.5
@@ -300,7 +313,6 @@ def composite(
             stopped |= ~drawn[-1]
             if stopped.all():
                 break
-    return Frame(cast(Floats, rgb), cast(Floats, transmittance), cast("Floats | None", depth))
 
 
 def _note_margins(

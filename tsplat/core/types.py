@@ -47,7 +47,9 @@ class Scene:
     scales: F32  # [N, 3]    world units, standard deviations along the Gaussian's own axes; >= 0
     opacities: F32  # [N]    0..1
     sh: (
-        F32 | F16  # [N, K, 3]  spherical harmonics, K in {1, 4, 9, 16}; display-referred RGB
+        # [N, K, 3]  spherical harmonics, K in {1, 4, 9, 16}; display-referred RGB; within 2.1e37,
+        # so that colours are finite
+        F32 | F16
     )
     origin: F64 = field(default_factory=_zero_origin)  # [3]  world units
     name: str = "scene"  # for messages

@@ -37,6 +37,10 @@ OPACITY_SLACK = 1e-6
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
+SH_MAX = FLOAT32_MAX / 16
+"""A coefficient beyond it may make a colour that float32 does not hold: the largest values of the
+sixteen harmonics (half.SH_PEAKS) sum to 8.9. Infinity times 0 would be NaN beside the Gaussian."""
+
 MEAN = "mean not finite"
 QUAT = "quaternion not finite"
 QUAT_ZERO = "quaternion of length zero"
@@ -91,7 +95,8 @@ class SceneBuilder:
 
         Threads may add at once if each says where, ``n`` rows apart; ``build`` closes the gaps.
         """
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is dropped
+        # what overflows is dropped; what underflows is 0, or close to it
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             if not self._wide:
                 means = means.astype(np.float32, copy=False)
             scales = scales.astype(np.float32, copy=False)
@@ -105,11 +110,12 @@ class SceneBuilder:
                 keep = _judge(means, lengths, scales, opacities, sh, limit, dropped)
         start = sum(self._runs[-1]) if at is None and self._runs else at or 0
         stop = start + len(means) - dropped.total()
-        self._means[start:stop] = means[keep]
-        self._quats[start:stop] = units[keep]
-        self._scales[start:stop] = scales[keep]
-        self._opacities[start:stop] = np.clip(opacities[keep], 0, 1)
-        error = self._put_sh(start, stop, sh[keep])
+        with np.errstate(under="ignore"):
+            self._means[start:stop] = means[keep]
+            self._quats[start:stop] = units[keep]
+            self._scales[start:stop] = scales[keep]
+            self._opacities[start:stop] = np.clip(opacities[keep], 0, 1)
+            error = self._put_sh(start, stop, sh[keep])
         with self._lock:
             self._runs.append((start, stop - start))
             self.dropped.update(dropped)
@@ -159,7 +165,8 @@ class SceneBuilder:
             shift = detail_origin(means, self._scales[:size])
             means = means - shift
             base = base + shift
-        self._means = np.ascontiguousarray(means, np.float32)
+        with np.errstate(under="ignore"):
+            self._means = np.ascontiguousarray(means, np.float32)
         self._quats, self._scales = self._quats[:size], self._scales[:size]
         self._opacities, self._sh = self._opacities[:size], self._sh[:size]
         del means  # each old array makes room for the next
@@ -197,7 +204,8 @@ def _sound(
         and scales.min(initial=0) >= 0
         and scales.max(initial=0) < np.inf
         and np.abs(opacities - 0.5).max(initial=0) <= 0.5 + OPACITY_SLACK
-        and np.isfinite(sh.sum())
+        and sh.max(initial=0) <= SH_MAX
+        and sh.min(initial=0) >= -SH_MAX
     )
 
 
@@ -214,7 +222,7 @@ def _judge(
         SCALE_NEGATIVE: scales < 0,
         OPACITY: np.isnan(opacities),
         OPACITY_RANGE: np.abs(opacities - 0.5) > 0.5 + OPACITY_SLACK,
-        SH: ~np.isfinite(sh),
+        SH: ~(np.abs(sh) <= SH_MAX),
     }
     bad = np.zeros(len(means), np.bool_)
     for reason, where in faults.items():
@@ -228,7 +236,7 @@ def _judge(
 
 def _normalised(quats: Floats) -> tuple[F64, F64]:
     """Unit quaternions, and their lengths before: 0 or not finite where there is none."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", under="ignore"):
         wide = quats.T.astype(np.float64, order="C")  # [4, n]: sums down columns are fast
         if quats.dtype != np.float32:  # whose squares float64 holds, but not those of 1e300
             largest = np.abs(wide).max(0)

@@ -92,8 +92,9 @@ def to_half(values: F32, out: F16) -> float:
     weights = _weights(values.shape[1])
     rows = BLOCK // len(weights)
     blocks = [slice(i, i + rows) for i in range(0, len(values), rows)]
-    for block in blocks:
-        _round(values[block].reshape(-1), out[block].view(np.uint16).reshape(-1))
+    with np.errstate(under="ignore"):  # which is how numbers are rounded here
+        for block in blocks:
+            _round(values[block].reshape(-1), out[block].view(np.uint16).reshape(-1))
     return max((_error(values[b], out[b], weights) for b in blocks), default=0.0)
 
 

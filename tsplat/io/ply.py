@@ -108,7 +108,7 @@ def _floats(columns: NDArray[np.generic]) -> Floats:
 
 def sigmoid(logits: F64) -> F64:
     """1 / (1 + e^-x) in float64; exactly 0 and 1 at the infinities."""
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         return 1 / (1 + np.exp(-logits))
 
 
@@ -133,7 +133,8 @@ class Layout:
 
         exp and sigmoid in float64: rounded once, to float32.
         """
-        with np.errstate(over="ignore", invalid="ignore"):  # the builder drops what is not finite
+        # the builder drops what is not finite; what underflows is a point
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             opacities = rows["opacity"].astype(np.float64)
             means = _floats(np.ascontiguousarray(self._means(rows)))
             quats = _floats(self._quats(rows))

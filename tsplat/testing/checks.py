@@ -8,7 +8,9 @@ Each stage gets the *reference's* inputs, so that one fault fails one check. Wha
 - bin: every tile lists distinct splats near to far, and the picture does not change;
 - composite: the contract's picture of the reference's splats and bins;
 - picture: all stages together;
-- bits: the whole picture has the same bits on 1 and on 3 threads and when repeated.
+- bits: the whole picture has the same bits on 1 and on 3 threads and when repeated;
+- memory: what a stage returned stays as it was through calls with another workspace, and no stage
+  changes what it was given.
 
 Not compared: intermediate numbers that only lead to the picture (means, factors, radii, tile
 sizes), because they are each backend's own business.
@@ -17,7 +19,7 @@ sizes), because they are each backend's own business.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -25,6 +27,7 @@ import numpy as np
 
 from tsplat.core import reference
 from tsplat.core.camera import Camera
+from tsplat.core.errors import ContractError
 from tsplat.core.params import RenderParams
 from tsplat.core.stages import STAGES, Bin, Composite, Project, Sort, Stages
 from tsplat.core.ties import same_numbers
@@ -48,6 +51,36 @@ class Verdict:
     def passed(self) -> bool:
         """Whether the contract holds."""
         return not self.faults
+
+
+def require(verdict: Verdict, what: str) -> None:
+    """Nothing if the verdict is good.
+
+    Raises:
+        ContractError: it is not; the text lists the faults.
+    """
+    if not verdict.passed:
+        raise ContractError(f"{what}, {verdict.check}: {'; '.join(verdict.faults)}")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check of one backend; call it to run it."""
+
+    name: str
+    subject: str  # the backend's or presenter's name
+    run: Callable[[], None]
+
+    def __str__(self) -> str:
+        return f"{self.subject}-{self.name}"
+
+    def __call__(self) -> None:
+        """Runs the check.
+
+        Raises:
+            ContractError: the contract is broken.
+        """
+        self.run()
 
 
 class Case:
@@ -236,6 +269,48 @@ def check_bits(stages: Stages, case: Case) -> Verdict:
     return Verdict("bits", tuple(faults))
 
 
+def _bytes(*values: object) -> list[bytes]:
+    """The bytes of every array in ``values``, and in the fields of those that are dataclasses."""
+    out = []
+    for value in values:
+        if isinstance(value, np.ndarray):
+            out.append(value.tobytes())
+        elif is_dataclass(value):
+            out += _bytes(*(getattr(value, field.name) for field in fields(value)))
+    return out
+
+
+def check_memory(stages: Stages, case: Case) -> Verdict:
+    """See the module: results of one workspace outlive calls with another; inputs stay."""
+    scene, params = case.scene, case.params
+    half = Case(
+        scene.take(np.arange(len(scene) // 2, len(scene))), case.camera, params, case.threads
+    )
+    stage_by_stage: dict[str, Callable[[Case], tuple[object, ...]]] = {
+        "project": lambda c: (c.scene, c.camera, c.params),
+        "sort": lambda c: (c.splats,),
+        "bin": lambda c: (c.splats, c.order),
+        "composite": lambda c: (c.splats, c.bins, c.params),
+        "fused": lambda c: (c.scene, c.camera, c.params),
+    }
+    faults = []
+    for name, inputs in stage_by_stage.items():
+        stage: Callable[..., object] | None = getattr(stages, name)
+        if stage is None:
+            continue
+        given = inputs(case)
+        before = _bytes(*given)
+        result = stage(*given, Workspace(case.threads))
+        result = result if isinstance(result, tuple) else (result,)
+        if _bytes(*given) != before:
+            faults.append(f"{name} changes what it is given")
+        kept = _bytes(*result)
+        stage(*inputs(half), Workspace(case.threads))
+        if _bytes(*result) != kept:
+            faults.append(f"{name}'s result changes in a call with another workspace")
+    return Verdict("memory", tuple(faults))
+
+
 FUNCTIONS: dict[str, Callable[[Stages, Case], Verdict]] = {
     "project": check_project,
     "sort": check_sort,
@@ -243,6 +318,7 @@ FUNCTIONS: dict[str, Callable[[Stages, Case], Verdict]] = {
     "composite": check_composite,
     "picture": check_picture,
     "bits": check_bits,
+    "memory": check_memory,
 }
 """In the order in which they are run."""
 

@@ -64,9 +64,14 @@ def flips_allowed(pixels: int) -> int:
 
 
 def compare_frames(
-    got: Frame, want: Frame, margins: F64, tolerance: float = TOLERANCE, of: int | None = None,
+    got: Frame,
+    want: Frame,
+    margins: F64,
+    tolerance: float = TOLERANCE,
+    crossing: float = CROSSING,
+    of: int | None = None,
     pictures: int = 1,
-) -> Comparison:  # fmt: skip
+) -> Comparison:
     """``got`` against ``want``, the reference's float64 picture with its ``margins`` [H, W].
 
     ``of``, if these are only a part of a picture, is the number of all its pixels: as many may
@@ -91,8 +96,8 @@ def compare_frames(
     signed = _differences(got, want)
     error = abs(signed)
     over = error > tolerance
-    crossing = margins < CROSSING
-    flipped, wrong = over & crossing, over & ~crossing
+    on_threshold = margins < crossing
+    flipped, wrong = over & on_threshold, over & ~on_threshold
     flips = int(flipped.sum())
     rest = float(error[~flipped].max(initial=0))
     if wrong.any():

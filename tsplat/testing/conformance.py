@@ -8,16 +8,21 @@ def test_conformance(check):
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import TypeVar
 
 from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
+from hypothesis.errors import Flaky
 
 from tsplat.core.errors import ContractError
 from tsplat.core.stages import STAGES, Backend
 from tsplat.plugins import load_backend
-from tsplat.testing.checks import FUNCTIONS, Case, Verdict
+from tsplat.testing.checks import FUNCTIONS, Case, Check, require
 from tsplat.testing.strategies import cameras, params, scenes
+
+__all__ = ["Check", "backend_checks", "cases", "drawn_check", "require"]
+
+T = TypeVar("T")
 
 
 @st.composite
@@ -29,50 +34,47 @@ def cases(draw: st.DrawFn) -> Case:
     )
 
 
-def require(verdict: Verdict, what: str) -> None:
-    """Nothing if the verdict is good.
+def drawn_check(
+    name: str,
+    subject: str,
+    examples: st.SearchStrategy[T],
+    run: Callable[[T], None],
+    max_examples: int,
+) -> Check:
+    """The check that calls ``run`` on drawn examples until one raises."""
 
-    Raises:
-        ContractError: it is not; the text lists the faults.
-    """
-    if not verdict.passed:
-        raise ContractError(f"{what}, {verdict.check}: {'; '.join(verdict.faults)}")
+    @settings(
+        max_examples=max_examples,
+        deadline=None,
+        report_multiple_bugs=False,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    )
+    @given(case=examples)
+    def draw(case: T) -> None:
+        run(case)
 
+    def check() -> None:
+        try:
+            draw()
+        except Flaky as error:  # state, or a race
+            raise ContractError(
+                f"{subject}, {name}: an example fails, but not each time it is run: {error}"
+            ) from error
 
-@dataclass(frozen=True)
-class Check:
-    """One check of one backend; call it to run it on many examples."""
-
-    name: str
-    backend: str
-    run: Callable[[], None]
-
-    def __str__(self) -> str:
-        return f"{self.backend}-{self.name}"
-
-    def __call__(self) -> None:
-        """Runs the check.
-
-        Raises:
-            ContractError: an example breaks the contract; hypothesis shows the smallest.
-        """
-        self.run()
+    return Check(name, subject, check)
 
 
 def backend_checks(backend: Backend, max_examples: int = 100) -> list[Check]:
-    """A check for every stage that ``backend`` offers, one for the picture, one for its bits."""
+    """A check for every stage that ``backend`` offers, and those of the whole.
+
+    :mod:`tsplat.testing.checks` says what each of them demands.
+    """
 
     def make(name: str) -> Check:
-        @settings(
-            max_examples=max_examples,
-            deadline=None,
-            suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-        )
-        @given(case=cases())
         def run(case: Case) -> None:
             note(f"{len(case.scene)} Gaussians, {case.camera}, {case.params}")
             require(FUNCTIONS[name](load_backend(backend), case), f"backend {backend.name!r}")
 
-        return Check(name, backend.name, run)
+        return drawn_check(name, backend.name, cases(), run, max_examples)
 
     return [make(name) for name in FUNCTIONS if name not in STAGES or name in backend.stages]

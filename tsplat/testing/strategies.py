@@ -94,6 +94,7 @@ def make_scene(seed: int, n: int, degree: int, oddities: frozenset[str]) -> Scen
     quats = _quats(rng, n)
     if oddities & {"twins", "shuffled"} and n > 1:
         twin = some()
+        twin[1] = True
         means[twin], scales[twin], quats[twin] = means[0], scales[0], quats[0]
     origin = np.zeros(3)
     if "far origin" in oddities:
@@ -115,12 +116,22 @@ def shuffled(scene: Scene, rng: np.random.Generator) -> Scene:
 def scenes(max_gaussians: int = 60, max_degree: int = 3) -> st.SearchStrategy[Scene]:
     """Scenes of 0 to ``max_gaussians`` Gaussians with any of :data:`ODDITIES`."""
     return st.builds(
-        make_scene,
+        _scene,
         seed=st.integers(0, 2**32 - 1),
         n=st.integers(0, max_gaussians),
         degree=st.integers(0, max_degree),
-        oddities=st.frozensets(st.sampled_from(ODDITIES), max_size=4),
+        count=st.integers(0, 4),
     )
+
+
+def _scene(seed: int, n: int, degree: int, count: int) -> Scene:
+    """A scene with ``count`` oddities that the other numbers pick.
+
+    By a generator, because hypothesis draws sets that are mostly empty, and alike within a run: of
+    runs of 100 examples, four in twelve had no two splats of equal depth with numbers at all.
+    """
+    order = np.random.default_rng((seed, n, degree)).permutation(len(ODDITIES))
+    return make_scene(seed, n, degree, frozenset(ODDITIES[i] for i in order[:count]))
 
 
 @st.composite

@@ -237,12 +237,13 @@ TARGET static int NAME(project_chunk)(const tsplat_packed *packed, const tsplat_
         totals[0] += __builtin_popcount(seen);
         if (!seen) continue;
         if (lens->sh_degree) fetch_sh(s, packed, first + i + LANES, LANES);
-        /* the tiles with pixels whose centres its box holds */
+        /* the tiles with pixels whose centres its box holds, which may be 1e9 px wide: cut to the
+         * picture before it is rounded to whole pixels, as not all of FLOOR take so much */
         VF x = JOIN(g.mean_x[0], g.mean_x[1]), y = JOIN(g.mean_y[0], g.mean_y[1]);
-        VF x0 = MIN(MAX(CEIL(SUB(SUB(x, g.radius_x), half)), zero), right);
-        VF y0 = MIN(MAX(CEIL(SUB(SUB(y, g.radius_y), half)), zero), bottom);
-        VF x1 = MIN(MAX(FLOOR(SUB(ADD(x, g.radius_x), half)), minus), right);
-        VF y1 = MIN(MAX(FLOOR(SUB(ADD(y, g.radius_y), half)), minus), bottom);
+        VF x0 = CEIL(MIN(MAX(SUB(SUB(x, g.radius_x), half), zero), right));
+        VF y0 = CEIL(MIN(MAX(SUB(SUB(y, g.radius_y), half), zero), bottom));
+        VF x1 = FLOOR(MIN(MAX(SUB(ADD(x, g.radius_x), half), minus), right));
+        VF y1 = FLOOR(MIN(MAX(SUB(ADD(y, g.radius_y), half), minus), bottom));
         seen &= BITS(LE(x0, x1)) & BITS(LE(y0, y1));
         if (!seen) continue;
         VI u0 = TRUNCATE(MUL(x0, per_tile)), v0 = TRUNCATE(MUL(y0, per_tile));

@@ -1,0 +1,450 @@
+"""What a terminal shows after a presenter's bytes: decoders of the four built-in protocols.
+
+Written to the specifications, each of them linked below, and knowing nothing of the encoders. A
+decoder takes a whole session, payloads joined by :data:`~tsplat.testing.stream.HOME`, and returns
+what is on the screen at the end. Where a rule is broken although the picture can be made out, it
+says so in :class:`Decoded`; where no picture can be made out it raises.
+"""
+
+from __future__ import annotations
+
+import binascii
+import io
+import re
+import zlib
+from base64 import b64decode
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsplat.core.errors import ContractError
+from tsplat.core.types import U8
+from tsplat.presenters.base import Terminal
+from tsplat.testing.stream import Token, numbers, tokens
+
+KITTY_CHUNK = 4096  # bytes of base64 in one sequence
+KITTY_IDS = 1 << 31  # Konsole reads ids as signed
+SIXEL_BAND = 6  # px
+NOT_DRAWN = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """A picture, and the rules that were broken although it can be made out."""
+
+    picture: U8  # [H, W, 3]
+    faults: tuple[str, ...] = ()
+
+
+Decoder = Callable[[bytes, Terminal], U8 | Decoded]
+"""Bytes, sent to an empty screen with the cursor at home -> what is shown, [H, W, 3] uint8.
+
+Raises ContractError where no picture can be made out.
+"""
+
+
+def decoded(decode: Decoder, data: bytes, terminal: Terminal) -> Decoded:
+    """What ``decode`` makes of ``data``, whichever of the two it returns.
+
+    Raises:
+        ContractError: it made no picture of it.
+    """
+    result = decode(data, terminal)
+    return result if isinstance(result, Decoded) else Decoded(result)
+
+
+class _Canvas:
+    """Pictures painted over each other from the top left corner on."""
+
+    def __init__(self) -> None:
+        self.pixels: NDArray[np.int16] = np.empty((0, 0, 3), np.int16)
+
+    def paint(self, picture: NDArray[np.integer]) -> None:
+        """Pixels of ``NOT_DRAWN`` keep what is there."""
+        height = max(len(self.pixels), len(picture))
+        width = max(self.pixels.shape[1], picture.shape[1])
+        grown = np.full((height, width, 3), NOT_DRAWN, np.int16)
+        grown[: len(self.pixels), : self.pixels.shape[1]] = self.pixels
+        part = grown[: len(picture), : picture.shape[1]]
+        part[...] = np.where(picture == NOT_DRAWN, part, picture)
+        self.pixels = grown
+
+    def shown(self, terminal: Terminal, faults: list[str]) -> Decoded:
+        height, width = self.pixels.shape[:2]
+        if not self.pixels.size:
+            raise ContractError("no picture is shown")
+        if (self.pixels == NOT_DRAWN).any():
+            raise ContractError(f"of {width}x{height} px some are never drawn")
+        most_wide, most_high = terminal.pixels
+        if width > most_wide or height > most_high:
+            faults.append(
+                f"the picture, {width}x{height} px, is larger than all rows but the last, "
+                f"{most_wide}x{most_high} px"
+            )
+        return Decoded(self.pixels.astype(np.uint8), tuple(dict.fromkeys(faults)))
+
+
+def _strings(data: bytes, start: bytes, what: str) -> Iterator[Token]:
+    """The strings of ``data`` that begin with ``start``; cursor moves and erasure between them."""
+    for token in tokens(data):
+        if token.kind == "string" and token.body.startswith(start):
+            yield token
+        elif token.kind != "csi":  # those are the business of area_faults
+            raise ContractError(f"between {what}: {token.kind} {token.body[:20]!r}")
+
+
+def _base64(text: bytes) -> bytes:
+    try:
+        return b64decode(text, validate=True)
+    except binascii.Error as error:
+        raise ContractError(f"base64: {error}") from None
+
+
+def _keys(text: bytes, separator: str) -> dict[str, str]:
+    pairs = [pair.partition("=") for pair in text.decode("latin-1").split(separator)]
+    for key, equals, _ in pairs:
+        if not (key and equals):
+            raise ContractError(f"expected key=value, got {key!r}")
+    return {key: value for key, _, value in pairs}
+
+
+# --- kitty: https://sw.kovidgoyal.net/kitty/graphics-protocol/
+
+
+def kitty_commands(data: bytes, faults: list[str]) -> list[tuple[dict[str, str], bytes]]:
+    """The graphics commands of ``data`` as (keys, payload), chunks joined.
+
+    Appends to ``faults`` the rules for chunks that are broken: at most 4096 bytes of base64, a
+    multiple of 4 in all but the last, none empty but the last, no keys but m and q after the first.
+
+    Raises:
+        ContractError: a payload is not base64, or its last chunk is missing.
+    """
+    commands: list[tuple[dict[str, str], bytes]] = []
+    first: dict[str, str] | None = None
+    body = b""
+    for token in _strings(data, b"_G", "kitty's commands"):
+        control, _, chunk = token.body[2:].partition(b";")
+        keys = _keys(control, ",")
+        if len(chunk) > KITTY_CHUNK:
+            faults.append(f"a chunk of {len(chunk)} bytes; {KITTY_CHUNK} are allowed")
+        if first is None:
+            first, body = keys, b""
+        elif not set(keys) <= {"m", "q"}:
+            faults.append("keys other than m and q in a later chunk")
+        more = keys.get("m", "0") == "1"
+        if more and not chunk:
+            faults.append("an empty chunk that is not the last")
+        if more and len(chunk) % 4:
+            faults.append("a chunk that is not the last ends within four bytes of base64")
+        body += chunk
+        if not more:
+            commands.append((first, _base64(body)))
+            first = None
+    if first is not None:
+        raise ContractError("the last chunk (m=0) is missing")
+    return commands
+
+
+def _kitty_pixels(keys: dict[str, str], payload: bytes) -> U8:
+    """[H, W, 3] of a transmission; an alpha channel must be opaque."""
+    if keys.get("t", "d") != "d":
+        raise ContractError(f"t={keys['t']}: only data in the sequence itself can be decoded")
+    if keys.get("f") == "100":
+        return _picture_file(payload, ("PNG",))
+    try:
+        if keys.get("o") == "z":
+            payload = zlib.decompress(payload)
+        width, height = int(keys["s"]), int(keys["v"])
+    except (zlib.error, KeyError, ValueError) as error:
+        raise ContractError(f"transmitted data: {type(error).__name__}: {error}") from None
+    channels = {"24": 3, "32": 4}.get(keys.get("f", "32"))
+    if channels is None or len(payload) != width * height * channels:
+        raise ContractError(
+            f"f={keys.get('f', '32')}, {width}x{height} px, cannot be {len(payload)} bytes"
+        )
+    pixels = np.frombuffer(payload, np.uint8).reshape(height, width, channels)
+    if channels == 4 and (pixels[..., 3] != 255).any():
+        raise ContractError("pixels that are not opaque")
+    return pixels[..., :3]
+
+
+def kitty(data: bytes, terminal: Terminal) -> Decoded:
+    """Pictures transmitted and displayed (a=T), replaced and deleted, as kitty shows them.
+
+    Also demanded: C=1, or a picture as large as the screen scrolls it; q=2, or the answer is typed
+    into the program; an id below 2^31.
+    """
+    faults: list[str] = []
+    shown: dict[tuple[str, str], U8] = {}
+    for keys, payload in kitty_commands(data, faults):
+        action, image = keys.get("a", "t"), keys.get("i", "0")
+        if keys.get("q") != "2":
+            faults.append("q=2 is missing: the terminal's answer would be taken for typing")
+        if not image.isdigit() or int(image) >= KITTY_IDS:
+            faults.append(f"i={image}: expected a number below 2^31")
+        if action == "T":
+            if keys.get("C") != "1":
+                faults.append("C=1 is missing: the cursor moves, and a full screen scrolls")
+            pixels = _kitty_pixels(keys, payload)
+            # Data for an id that is there already delete its placements first
+            shown = {place: p for place, p in shown.items() if place[0] != image or image == "0"}
+            shown[image, keys.get("p", str(len(shown)))] = pixels
+        elif action == "d":
+            what = keys.get("d", "a").lower()
+            if what not in "ai":
+                raise ContractError(f"d={keys['d']} is not understood by this decoder")
+            shown = {place: p for place, p in shown.items() if what == "i" and place[0] != image}
+        else:
+            raise ContractError(f"a={action} is not understood by this decoder")
+    canvas = _Canvas()
+    for picture in shown.values():
+        canvas.paint(picture)
+    return canvas.shown(terminal, faults)
+
+
+# --- iTerm2: https://iterm2.com/documentation-images.html
+
+
+def _picture_file(file: bytes, forms: tuple[str, ...]) -> U8:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(io.BytesIO(file)) as picture:
+            if picture.format not in forms:
+                raise ContractError(f"expected {' or '.join(forms)}, got {picture.format}")
+            return np.asarray(picture.convert("RGB"))
+    except (UnidentifiedImageError, OSError) as error:
+        raise ContractError(f"a picture file that cannot be read: {error}") from None
+
+
+def iterm2_files(data: bytes) -> list[tuple[dict[str, str], bytes]]:
+    """(keys, file) of each OSC 1337 File= of ``data``."""
+    files = []
+    for token in _strings(data, b"]1337;File=", "iTerm2's pictures"):
+        control, _, text = token.body[len(b"]1337;File=") :].partition(b":")
+        files.append((_keys(control, ";"), _base64(text)))
+    return files
+
+
+def iterm2(data: bytes, terminal: Terminal) -> Decoded:
+    """Pictures painted over each other, each from the top left corner on.
+
+    Also demanded: inline=1, or it is a download; size in bytes, or VS Code shows nothing; width and
+    height in px as the file has them, so that nothing is scaled; doNotMoveCursor=1, or Konsole
+    scrolls.
+    """
+    faults: list[str] = []
+    canvas = _Canvas()
+    for keys, file in iterm2_files(data):
+        picture = _picture_file(file, ("JPEG", "PNG", "GIF"))
+        wanted = {
+            "inline": "1",
+            "size": str(len(file)),
+            "width": f"{picture.shape[1]}px",
+            "height": f"{len(picture)}px",
+            "doNotMoveCursor": "1",
+        }
+        for key, value in wanted.items():
+            if keys.get(key) != value:
+                faults.append(f"{key}: expected {value}, got {keys.get(key, 'nothing')}")
+        canvas.paint(picture)
+    return canvas.shown(terminal, faults)
+
+
+# --- sixel: https://vt100.net/docs/vt3xx-gp/chapter14.html
+
+_SIXEL = re.compile(
+    rb'"(?P<raster>[0-9;]*)|#(?P<color>[0-9;]*)|!(?P<repeat>[0-9]+)(?P<repeated>[?-~])'
+    rb"|(?P<data>[?-~])|(?P<back>\$)|(?P<next>-)"
+)
+
+
+def sixel_percent(body: bytes, terminal: Terminal, faults: list[str]) -> NDArray[np.int16]:
+    """[H, W, 3] of one picture in percent, ``NOT_DRAWN`` where no sixel was set.
+
+    ``body`` is what stands between DCS and ST. The size is that of the raster attributes.
+
+    Raises:
+        ContractError: a colour that is not defined, a value out of range, a pixel outside the
+            raster, something that is no sixel data.
+    """
+    _, q, body = body.partition(b"q")
+    at = 0
+    registers: dict[int, list[int]] = {}
+    color: list[int] | None = None
+    picture: NDArray[np.int16] | None = None
+    x = top = 0
+    while at < len(body):
+        token = _SIXEL.match(body, at)
+        if not q or token is None:
+            raise ContractError(f"no sixel data: {body[at : at + 20]!r}")
+        at = token.end()
+        if token["raster"] is not None:
+            pan, pad, width, height = ([*numbers(token["raster"]), 0, 0, 0, 0])[:4]
+            if (pan, pad) != (1, 1) or not width or not height:
+                raise ContractError(f"raster attributes {token['raster']!r}: expected 1;1;W;H")
+            picture = np.full((height, width, 3), NOT_DRAWN, np.int16)
+        elif token["color"] is not None:
+            number, *definition = numbers(token["color"]) or [0]
+            if definition:
+                if len(definition) != 4 or definition[0] != 2 or max(definition[1:]) > 100:
+                    raise ContractError(
+                        f"register {number}: expected 2;R;G;B with 0 to 100, got {definition}"
+                    )
+                registers[number] = definition[1:]
+            if number not in registers:
+                raise ContractError(f"register {number} is used before it is defined")
+            color = registers[number]
+        elif token["back"]:
+            x = 0
+        elif token["next"]:
+            x, top = 0, top + SIXEL_BAND
+        else:
+            count = int(token["repeat"] or 1)
+            bits = ord(token["repeated"] or token["data"]) - 63
+            if picture is None or color is None:
+                raise ContractError("sixels before raster attributes and a colour")
+            if x + count > picture.shape[1] or top + bits.bit_length() > len(picture):
+                raise ContractError("sixels outside the raster")
+            for bit in range(bits.bit_length()):
+                if bits >> bit & 1:
+                    picture[top + bit, x : x + count] = color
+            x += count
+    if picture is None:
+        raise ContractError("a sixel picture without raster attributes")
+    if max(registers, default=0) >= 256 or len(registers) > terminal.sixel_registers:
+        faults.append(
+            f"{len(registers)} registers up to number {max(registers)}; the terminal has "
+            f"{terminal.sixel_registers}, and beyond 256 few have any"
+        )
+    most_wide, most_high = terminal.sixel_max
+    if picture.shape[1] > (most_wide or picture.shape[1]) or len(picture) > (
+        most_high or len(picture)
+    ):
+        faults.append(f"larger than the terminal takes, {most_wide}x{most_high} px")
+    return picture
+
+
+def sixel(data: bytes, terminal: Terminal) -> Decoded:
+    """Sixel pictures painted over each other, a percent being 2.55 levels.
+
+    Registers are private to a picture: some terminals keep the last picture's, some do not.
+    """
+    faults: list[str] = []
+    canvas = _Canvas()
+    for token in _strings(data, b"P", "sixel pictures"):
+        percent = sixel_percent(token.body[1:], terminal, faults)
+        levels = np.where(percent == NOT_DRAWN, NOT_DRAWN, np.rint(percent * 2.55))
+        canvas.paint(levels.astype(np.int16))
+    return canvas.shown(terminal, faults)
+
+
+# --- half blocks: https://invisible-island.net/xterm/ctlseqs/ctlseqs.html (CUP, CUF, SGR)
+
+Rgb = tuple[int, int, int]
+_HALVES = {" ": (1, 1), "▀": (0, 1), "▄": (1, 0), "█": (0, 0)}  # 0: foreground, 1: background
+_LEVELS = 0, 95, 135, 175, 215, 255
+INK, PAPER = (255, 255, 255), (0, 0, 0)  # where no colour is set
+
+
+def ansi_rgb(number: int) -> Rgb:
+    """The sixteen colours as xterm has them by default (XTerm-col.ad)."""
+    if number in (7, 8, 12):
+        return {7: (229, 229, 229), 8: (127, 127, 127), 12: (92, 92, 255)}[number]
+    high = 255 if number > 8 else 205
+    r, g, b = (high * (number >> bit & 1) for bit in range(3))
+    return r, g, 238 if number == 4 else b
+
+
+def xterm_rgb(number: int) -> Rgb:
+    """The 256 colours: 16 of the theme, a cube of 6x6x6, 24 greys (256colres.pl)."""
+    if number < 16:
+        return ansi_rgb(number)
+    if number >= 232:
+        grey = 8 + 10 * (number - 232)
+        return grey, grey, grey
+    r, g, b = (_LEVELS[(number - 16) // step % 6] for step in (36, 6, 1))
+    return r, g, b
+
+
+class Cells:
+    """A screen of cells that takes CUP, CUF, SGR and four characters; each cell is two halves."""
+
+    def __init__(self, columns: int, rows: int) -> None:
+        self.halves: U8 = np.zeros((2 * rows, columns, 3), np.uint8)
+        self.drawn = np.zeros((rows, columns), bool)
+
+    def feed(self, data: bytes) -> None:
+        """From home on, in plain colours.
+
+        Raises:
+            ContractError: a cell outside the screen, or anything that draws but is not named above.
+        """
+        x = y = 0
+        pen = [INK, PAPER]
+        for token in tokens(data):
+            values = numbers(token.body[:-1]) if token.kind == "csi" else []
+            if token.kind == "text":
+                for character in token.body.decode(errors="replace"):
+                    self._put(x, y, character, pen)
+                    x += 1
+            elif token.kind != "csi":
+                raise ContractError(f"not understood by this decoder: {token.body[:20]!r}")
+            elif token.body.endswith(b"H"):
+                y, x = (max(n, 1) - 1 for n in [*values, 1, 1][:2])
+            elif token.body.endswith(b"C"):
+                x += max([*values, 1][0], 1)
+            elif token.body.endswith(b"m"):
+                _sgr(values or [0], pen)
+            # other sequences draw nothing; area_faults tells what they must not do
+
+    def _put(self, x: int, y: int, character: str, pen: list[Rgb]) -> None:
+        rows, columns = self.drawn.shape
+        if not (0 <= x < columns and 0 <= y < rows):
+            raise ContractError(f"column {x + 1}, row {y + 1}: outside {columns}x{rows} cells")
+        if character not in _HALVES:
+            raise ContractError(f"the character {character!r} is no half block")
+        for half, layer in enumerate(_HALVES[character]):
+            self.halves[2 * y + half, x] = pen[layer]
+        self.drawn[y, x] = True
+
+
+def _sgr(values: list[int], pen: list[Rgb]) -> None:
+    rest = list(values)
+    while rest:
+        n = rest.pop(0)
+        layer = int(40 <= n <= 49 or n >= 100)
+        base = n - 10 * layer
+        if n == 0:
+            pen[:] = [INK, PAPER]
+        elif base == 38:
+            kind = rest.pop(0) if rest else 0
+            count = {2: 3, 5: 1}.get(kind, 0)
+            if not count or len(rest) < count or max(rest[:count]) > 255:
+                raise ContractError(f"SGR {values}: expected 2;R;G;B or 5;N after {n}")
+            color, rest = rest[:count], rest[count:]
+            pen[layer] = (color[0], color[1], color[2]) if kind == 2 else xterm_rgb(color[0])
+        elif base == 39:
+            pen[layer] = (INK, PAPER)[layer]
+        elif 30 <= base <= 37:
+            pen[layer] = ansi_rgb(base - 30)
+        elif 90 <= base <= 97:
+            pen[layer] = ansi_rgb(base - 82)
+        else:
+            raise ContractError(f"SGR {n} is not understood by this decoder")
+
+
+def halfblock(data: bytes, terminal: Terminal) -> U8:
+    """Half cells as pixels; the picture is the rectangle of cells that were printed."""
+    screen = Cells(terminal.columns, max(1, terminal.rows - 1))
+    screen.feed(data)
+    if not screen.drawn.any():
+        raise ContractError("no picture is shown")
+    rows = int(screen.drawn.any(1).sum())
+    columns = int(screen.drawn.any(0).sum())
+    if not screen.drawn[:rows, :columns].all():
+        raise ContractError("cells are left out, or the picture does not begin at the top left")
+    return screen.halves[: 2 * rows, :columns]
