@@ -170,7 +170,9 @@ CAUGHT: dict[str, tuple[Stages, list[str]]] = {
     ),
     "alpha cap missing": (WRONG["alpha cap missing"][0], ["10,000 opaque layers"]),
     "unstable ties": (WRONG["unstable ties"][0], ["3,000 at equal depth", "depths by one ulp"]),
-    "ties by row": (WRONG["ties by row"][0], ["3,000 at equal depth"]),
+    "ties by row": (
+        WRONG["ties by row"][0], ["3,000 at equal depth", "3,000 large ones at five depths"],
+    ),
     "depths cut off": (changed(_depths_cut_off), ["depths by one ulp"]),
     "early stop missing": (
         replace(REFERENCE, composite=lambda s, b, p, w: reference.composite(

@@ -193,6 +193,11 @@ CASES: tuple[Stiff, ...] = (
         scenes.equal_depths,
     ),
     Stiff(
+        "3,000 large ones at five depths",
+        "Who cuts a crowded frame into slabs of depth must not cut between equals.",
+        scenes.crowd,
+    ),
+    Stiff(
         "depths by one ulp",
         "Neighbours are half a float32 apart: they tie in pairs if and only if z is rounded once.",
         scenes.depths_by_one_ulp,

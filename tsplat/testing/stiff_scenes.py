@@ -297,6 +297,16 @@ def equal_depths() -> Made:
     return _scene(means, opacities=0.6, numbers=numbers), _camera(20, 20), PLAIN
 
 
+def crowd() -> Made:
+    """3,000 as large as half the picture at five depths, a float32 apart."""
+    rng = np.random.default_rng(20)
+    z = (np.float32(5).view(np.int32) + rng.integers(0, 5, 3000, np.int32)).view(np.float32)
+    means = np.column_stack([rng.uniform(-1.5, 1.5, (3000, 2)).astype(np.float32), z])
+    numbers = rng.permutation(3000).astype(np.int32)
+    scene = _scene(means, scales=0.5, opacities=0.5, numbers=numbers)
+    return scene, _camera(64, 64), WITH_DEPTH
+
+
 def depths_by_one_ulp() -> Made:
     """500 a float32 apart in the scene, and half of that from the camera: pairs tie."""
     rng = np.random.default_rng(14)
