@@ -408,3 +408,95 @@ def test_a_closed_pipe_is_no_error_message(ply):
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT) as p:
         p.stdout.close()
         assert p.stderr.read() == b""
+
+
+def test_bench_prints_a_table_and_writes_its_files(ply, tmp_path):
+    """Presets in both fast backends; the diagram, the CSV and the JSON tell of the same rows."""
+    words = ("bench", ply, "--size", "40x30", "--cameras", 1, "--runs", 1, "--presets")
+    told = tsplat(*words, "--csv", tmp_path / "a.csv", "-o", tmp_path / "a.svg").stdout.decode()
+    for word in ("cffi", "numba", "exact", "contract", "balanced", "fast", "SSIM"):
+        assert word in told
+    assert "numpy" not in told
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert len(lines) == 1 + 2 * 4
+    assert lines[0].startswith("backend,setting,seconds,")
+    assert b"<svg" in (tmp_path / "a.svg").read_bytes()
+    facts = json.loads(tsplat(*words, "--json", "--set", "scale=0.5", "--backend", "cffi").stdout)
+    assert [row["setting"] for row in facts["rows"]] == [
+        "exact", "contract", "balanced", "fast", "scale=0.5",
+    ]  # fmt: skip
+    worst = {row["setting"]: row["worst"] for row in facts["rows"]}
+    assert worst["exact"] < 0.1 < worst["contract"] < worst["fast"]
+    assert set(facts["rows"][0]["stages"]) >= {"project", "composite"}
+    assert not facts["interrupted"]
+
+
+def test_bench_refuses_what_it_cannot_do_before_it_measures(ply, tmp_path):
+    """A suffix it cannot draw, no such folder, a screen that is none, a wrong setting."""
+    for words, told in (
+        (("-o", tmp_path / "a.gif"), b"expected a name in .png or .svg"),
+        (("--csv", tmp_path / "no" / "a.csv"), b"cannot write in"),
+        (("--show",), b"--show needs a terminal"),
+        (("--set", "speed=2"), b"expected NAME=VALUE"),
+        (("--backend", "nosuch"), b"nosuch"),
+    ):
+        assert told in tsplat("bench", ply, *words, code=1).stderr
+
+
+def test_bench_keeps_what_is_done_on_ctrl_c(ply):
+    """Interrupted while it times, it prints what it has and exits with 130."""
+    code = (
+        "import sys, tsplat.quality.sweep as s, tsplat.cli as c\n"
+        "steps = s.Sweep.steps\n"
+        "def some(self):\n"
+        "    for i, x in enumerate(steps(self)):\n"
+        "        yield x\n"
+        "        if i == 6: raise KeyboardInterrupt\n"
+        "s.Sweep.steps = some\n"
+        "sys.exit(c.main(sys.argv[1:]))\n"
+    )
+    words = ["bench", str(ply), "--size", "20x20", "--cameras", "1", "--presets", "--json",
+             "--backend", "cffi", "--runs", "3"]  # fmt: skip
+    result = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, check=False)
+    assert result.returncode == 130, result.stderr
+    facts = json.loads(result.stdout)
+    assert facts["interrupted"] is True
+    assert [row["setting"] for row in facts["rows"]] == ["exact", "contract"]
+
+
+def test_quality_changes_the_picture_and_says_so(ply, tmp_path):
+    """fast is another picture than contract; the JSON names the settings and what is left out."""
+    camera = tmp_path / "camera.json"
+    camera.write_text(json.dumps(camera_to_json(CAMERA)))
+    pictures = {}
+    for quality in ("exact", "contract", "fast"):
+        out = tmp_path / f"{quality}.npy"
+        facts = json.loads(
+            tsplat("render", ply, "-o", out, "--camera", camera, "--quality", quality, "--json")
+            .stdout
+        )  # fmt: skip
+        pictures[quality] = np.load(out)
+        asked = any("tsplat bench" in item["effect"] for item in facts["left_out"])
+        assert asked == (quality == "fast")
+        assert facts["settings"] == quality
+    exact = pictures["exact"]
+    off = {name: abs(picture - exact).max() for name, picture in pictures.items()}
+    assert off["contract"] > 1e-3
+    assert off["fast"] > 2 * off["contract"]
+
+
+def test_max_error_says_what_it_picked(ply, tmp_path):
+    """On stderr in words, in the JSON in numbers; it does not go with other settings."""
+    out = tmp_path / "a.png"
+    result = tsplat("render", ply, "-o", out, "--size", "64x48", "--max-error", "2,4", "--json")
+    facts = json.loads(result.stdout)
+    assert facts["calibration"]["worst"] <= 4
+    assert facts["calibration"]["p999"] <= 2
+    assert b"measured on 3 cameras" in result.stderr
+    for words, told in (
+        (("--max-error", "1", "--quality", "fast"), b"leave out --quality"),
+        (("--max-error", "none"), b"expected E or P999,WORST"),
+        (("--max-error", "1", "--ideal"), b"leave no choice"),
+        (("--set", "scale=3"), b"expected 0 < value <= 1"),
+    ):
+        assert told in tsplat("render", ply, "-o", out, *words, code=1).stderr

@@ -17,7 +17,7 @@ from typing import TextIO
 from tsplat._version import __version__
 from tsplat.core.errors import TsplatError, printable
 
-COMMANDS = ("view", "render", "info", "plugins", "check")
+COMMANDS = ("view", "render", "info", "plugins", "check", "bench")
 SHELLS = ("bash", "zsh", "tcsh")
 VECTORS = ("--eye", "--target", "--up", "--background")
 
@@ -30,12 +30,15 @@ DESCRIPTION = """\
   tsplat info scene.ply                  what is in a file
   tsplat plugins                         backends, presenters and readers that are installed
   tsplat check scene.ply                 prove every backend right on a scene
+  tsplat bench scene.ply                 what each shortcut costs and saves on a scene
 """
 VIEW_EXAMPLES = """\
 examples:
   tsplat view scene.ply
   tsplat view scene.ply --backend numba --presenter halfblock
   tsplat view scene.ply --max-splats 200000 --threads 4
+  tsplat view scene.ply --quality fast
+  tsplat view scene.ply --verify
 
 keys: W A S D pan, arrows or J K / H L turn, + - zoom, mouse drag turns, wheel zooms,
       O auto-orbit, U upside up, R reset, Tab status line, ? help, Q quit
@@ -47,6 +50,8 @@ examples:
   tsplat render scene.ply -o out.npz --camera cameras.json#3 --background none
   tsplat render scene.ply -o - --ideal | convert - exact.jpg
   tsplat render scene.ply -o out.png --repeat 10 --json
+  tsplat render scene.ply -o out.png --quality fast
+  tsplat render scene.ply -o out.png --max-error 1
 """
 INFO_EXAMPLES = """\
 examples:
@@ -65,6 +70,16 @@ examples:
   tsplat check scene.ply --backend cffi --size 1280x720 --json
 
 Every stage gets the reference's input. Exit code 1 if the contract is broken anywhere.
+"""
+BENCH_EXAMPLES = """\
+examples:
+  tsplat bench scene.ply
+  tsplat bench scene.ply -o diagram.svg --csv rows.csv
+  tsplat bench scene.ply --backend cffi --set scale=0.5,alpha_threshold=4/255 --show
+  tsplat bench scene.ply --presets --size 640x360 --cameras 5 --json
+
+Every backend is verified first. Errors are against the ideal picture: float64, no threshold, no
+early stop. Ctrl-C keeps what is done.
 """
 
 
@@ -159,6 +174,23 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def _add_quality(parser: argparse.ArgumentParser) -> None:
+    quality = parser.add_argument_group("quality", "`tsplat bench` says what each costs and saves")
+    quality.add_argument(
+        "--quality", choices=("exact", "contract", "balanced", "fast"), metavar="Q",
+        help="exact, contract (default), balanced or fast",
+    )  # fmt: skip
+    quality.add_argument(
+        "--set", metavar="NAME=VALUE,...",
+        help="alpha_threshold, transmittance_min, sh_degree, depth_bits, scale, share or half",
+    )  # fmt: skip
+    quality.add_argument(
+        "--max-error", metavar="E[,WORST]",
+        help="the fastest settings whose 99.9th percentile and worst error stay below E 8-bit "
+        "levels, as found by measuring on this scene",
+    )  # fmt: skip
+
+
 def _add_pose(parser: argparse.ArgumentParser) -> None:
     pose = parser.add_argument_group("camera", "default: a view that frames the scene")
     pose.add_argument(
@@ -198,6 +230,7 @@ def make_parser() -> argparse.ArgumentParser:
     view = add("view", "look at a scene in this terminal", VIEW_EXAMPLES)
     _add_scene(view)
     _add_engine(view)
+    _add_quality(view)
     view.add_argument(
         "--presenter", default="auto", metavar="P",
         help="kitty, iterm2, sixel, halfblock, another of `tsplat plugins`, or auto (default)",
@@ -205,6 +238,10 @@ def make_parser() -> argparse.ArgumentParser:
     view.add_argument(
         "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each"
     )
+    view.add_argument(
+        "--verify", action="store_true",
+        help="compare still frames with the float64 reference, some tiles at a time, meanwhile",
+    )  # fmt: skip
 
     render = add("render", "make a picture of a scene", RENDER_EXAMPLES)
     _add_scene(render)
@@ -218,6 +255,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     _add_pose(render)
     _add_engine(render)
+    _add_quality(render)
     render.add_argument(
         "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B|none",
         help="0..1 each, or none for transparent (0,0,0)",
@@ -261,6 +299,27 @@ def make_parser() -> argparse.ArgumentParser:
         "--sh-degree", type=int, choices=range(4), default=3, metavar="D", help="0 to 3 (default)"
     )
     check.add_argument("--json", action="store_true", help="print the verdicts as JSON")
+    bench = add("bench", "measure what each shortcut costs and saves", BENCH_EXAMPLES)
+    _add_scene(bench)
+    bench.add_argument("--backend", metavar="B[,B]", help="default: all but the reference")
+    bench.add_argument("--size", type=_pair, metavar="WxH", help="px (320x180)")
+    bench.add_argument(
+        "--camera", action="append", metavar="FILE[#INDEX]",
+        help="a camera to take pictures with; may be given several times",
+    )  # fmt: skip
+    bench.add_argument(
+        "--cameras", type=_count, default=3, metavar="N", help="without --camera: N round the scene"
+    )
+    bench.add_argument("--threads", type=_threads, metavar="N", help="default: every CPU")
+    bench.add_argument("--runs", type=_count, default=5, metavar="N", help="of each row (5)")
+    bench.add_argument(
+        "--set", action="append", metavar="NAME=VALUE,...", help="a setting of your own to measure"
+    )
+    bench.add_argument("--presets", action="store_true", help="no single shortcuts")
+    bench.add_argument("-o", "--output", metavar="OUT", help="the diagram, .png or .svg")
+    bench.add_argument("--csv", metavar="FILE", help="the table as CSV")
+    bench.add_argument("--show", action="store_true", help="show the diagram in this terminal")
+    bench.add_argument("--json", action="store_true", help="print the table as JSON")
     return parser
 
 

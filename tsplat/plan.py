@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tsplat.core.camera import Camera
+from tsplat.core.constants import ALPHA_THRESHOLD, TRANSMITTANCE_MIN
 from tsplat.core.errors import PluginError, printable
-from tsplat.core.params import RenderParams
+from tsplat.core.params import DEPTH_BITS, RenderParams
 from tsplat.core.stages import STAGES, Backend, Fused, LeftOut, Stages
 from tsplat.core.ties import same_numbers
 from tsplat.core.types import F16, F32, I32, Frame, Scene, Splats
@@ -18,6 +19,9 @@ from tsplat.core.workspace import Workspace, default_threads
 from tsplat.plugins import Registry, ask, load_backend, plugins
 
 AUTO = "auto"
+
+PRICED = "another picture; tsplat bench says how much so"
+"""The effect of a shortcut that was asked for."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,8 @@ class Rendered:
 class Plan:
     """What :func:`make_plan` decided; pass it to :func:`render`."""
 
-    params: RenderParams
+    params: RenderParams  # what stages are given: without SH bands that are zero
+    asked: RenderParams
     threads: int
     choices: Mapping[str, Choice]  # stage -> who and why
     stages: Stages  # all four
@@ -52,6 +57,11 @@ class Plan:
     left_out: tuple[LeftOut, ...] = ()  # of every frame
     everything: bool = False  # whether nothing is to be left out
     passed_over: tuple[str, ...] = ()  # backends "auto" did not take, with the reason
+
+    @property
+    def shortcuts(self) -> tuple[str, ...]:
+        """What is left out of every frame although it makes another picture."""
+        return tuple(item.what for item in self.left_out if item.effect == PRICED)
 
     @property
     def backends(self) -> dict[str, str]:
@@ -76,6 +86,24 @@ class Plan:
         return rendered
 
     def _made(self, scene: Scene, camera: Camera, workspace: Workspace) -> Rendered:
+        """Of a lighter scene and in fewer pixels, if that is asked for."""
+        if self.params.share < 1 or self.params.half:
+            from tsplat.quality.lighter import lighter
+
+            scene = lighter(scene, self.params)
+        if self.params.scale >= 1:
+            return self._drawn(scene, camera, workspace)
+        from tsplat.quality.upscale import reduced, upscale
+
+        stretch = self.stages.upscale or upscale
+        rendered = self._drawn(scene, reduced(camera, self.params.scale), workspace)
+        begin = time.perf_counter()
+        frame = stretch(rendered.frame, camera.width, camera.height, workspace)
+        took = time.perf_counter() - begin
+        seconds = {**rendered.seconds, "upscale": took, "total": rendered.seconds["total"] + took}
+        return replace(rendered, frame=frame, seconds=seconds)
+
+    def _drawn(self, scene: Scene, camera: Camera, workspace: Workspace) -> Rendered:
         clock = time.perf_counter
         begin = clock()
         if self.fused is not None:
@@ -176,6 +204,7 @@ def _leave_out(scene: Scene, params: RenderParams) -> tuple[RenderParams, list[L
     if lowest < degree:
         bands = str(degree) if lowest == degree - 1 else f"{lowest + 1} to {degree}"
         out.append(LeftOut(f"SH bands {bands}", "all their coefficients are zero"))
+    out += _shortcuts(scene, params)
     if scene.sh_error:
         effect = f"no colour moves by more than {255 * scene.sh_error:.2g} of an 8-bit level"
         out.append(LeftOut("SH beyond float16", "not asked for", effect))
@@ -184,6 +213,23 @@ def _leave_out(scene: Scene, params: RenderParams) -> tuple[RenderParams, list[L
     if not params.antialias:
         out.append(LeftOut("antialias factor", "not asked for"))
     return replace(params, sh_degree=lowest), out
+
+
+def _shortcuts(scene: Scene, params: RenderParams) -> list[LeftOut]:
+    """What is left out because it was asked for, and does change the picture."""
+    asked = (
+        (params.sh_degree < scene.sh_degree, f"SH beyond degree {params.sh_degree}"),
+        (params.alpha_threshold > ALPHA_THRESHOLD, f"alphas below {params.alpha_threshold:.3g}"),
+        (
+            params.transmittance_min > TRANSMITTANCE_MIN,
+            f"what is seen through {params.transmittance_min:.3g} of the light or less",
+        ),
+        (params.depth_bits < DEPTH_BITS, f"{DEPTH_BITS - params.depth_bits} bits of depths"),
+        (params.scale < 1, f"{1 - params.scale**2:.0%} of the pixels, which are interpolated"),
+        (params.share < 1, f"about {1 - params.share:.0%} of the Gaussians"),
+        (params.half and scene.sh.dtype == np.float32, "SH beyond float16"),
+    )
+    return [LeftOut(what, "not wanted", PRICED) for applies, what in asked if applies]
 
 
 def _any_nonzero(array: F16 | F32) -> bool:
@@ -252,13 +298,17 @@ def make_plan(
         else:
             choices[stage] = Choice(fastest(stage), f"{name} does not offer it")
     names = {stage: choice.backend for stage, choice in choices.items()}
-    stages = Stages(**{stage: getattr(loaded[name], stage) for stage, name in names.items()})
+    stages = Stages(
+        **{stage: getattr(loaded[name], stage) for stage, name in names.items()},
+        upscale=loaded[names["composite"]].upscale,
+    )
     one = loaded[names["project"]] if len(set(names.values())) == 1 else stages
     needed, left_out = (asked, []) if everything else _leave_out(scene, asked)
     if one.fused is not None and not everything:
         left_out += one.leaves_out(scene, needed)
     return Plan(
         params=needed,
+        asked=asked,
         threads=threads or default_threads(),
         choices=choices,
         stages=stages,

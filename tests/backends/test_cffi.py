@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +15,7 @@ from tsplat.backends.cffi._kernel import lib
 
 import tsplat.backends.cffi as package
 from tests.conftest import ROOT, gaussians, straight
-from tsplat.backends.cffi import build
+from tsplat.backends.cffi import WAITING, build
 from tsplat.backends.cffi import stages as kernel
 from tsplat.core import reference
 from tsplat.core.errors import KernelError, SceneError
@@ -137,3 +140,18 @@ def test_a_steady_view_allocates_nothing():
     tracemalloc.stop()
     assert workspace.nbytes == held
     assert peak < 20_000  # the picture alone has 384,000 bytes
+
+
+@pytest.mark.parametrize("given", [{}, {"OMP_WAIT_POLICY": "active", "GOMP_SPINCOUNT": "7"}])
+def test_waiting_threads_sleep_unless_told_otherwise(given):
+    """OpenMP is told so before it is loaded; what the user has said stays."""
+    code = (
+        "import os, tsplat.plugins as p\n"
+        "p.load_backend(p.plugins().backends['cffi'])\n"
+        "print(os.environ['OMP_WAIT_POLICY'], os.environ['GOMP_SPINCOUNT'])\n"
+    )
+    environ = {k: v for k, v in os.environ.items() if k not in WAITING} | given
+    told = subprocess.run(
+        [sys.executable, "-c", code], env=environ, capture_output=True, check=True
+    )
+    assert told.stdout.decode().split() == list((given or WAITING).values())

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tsplat.core.types import Frame
-from tsplat.testing.compare import compare_frames, psnr
+from tsplat.testing.compare import compare_frames, flips_allowed, psnr
 
 SHAPE = 40, 50
 
@@ -62,6 +62,29 @@ def test_flips_must_be_few_and_unbiased():
     assert "at most 2" in compare_frames(got, flat(), margins).faults[0]
     got, margins = bumped(60, [1] * 60)
     assert any("lean" in fault for fault in compare_frames(got, flat(), margins).faults)
+
+
+def test_a_part_of_a_picture_may_have_the_whole_pictures_flips():
+    """Three in a part of 2000 pixels are too many there, not in 3000; leaning is not judged."""
+    got, margins = bumped(3, (1, -1, 1))
+    assert not compare_frames(got, flat(), margins, of=2000).passed
+    result = compare_frames(got, flat(), margins, of=2001)
+    assert result.passed
+    assert result.flips == 3
+    assert flips_allowed(2001) == 3
+    got, margins = bumped(60, [1] * 60)
+    assert compare_frames(got, flat(), margins, of=60_000).passed
+    got, _ = bumped(3, (1, -1, 1))
+    assert not compare_frames(got, flat(), far(), of=60_000).passed
+
+
+def test_two_pictures_of_a_backend_may_differ_twice_as_far_and_as_often():
+    """1.8e-4 passes and 2.2e-4 does not; of 2000 pixels four may flip and not five."""
+    assert compare_frames(flat(0.5 + 1.8e-4), flat(), far(), pictures=2).passed
+    assert not compare_frames(flat(0.5 + 2.2e-4), flat(), far(), pictures=2).passed
+    for count in (4, 5):
+        got, margins = bumped(count, (1, -1, 1, -1, 1))
+        assert compare_frames(got, flat(), margins, pictures=2).passed == (count == 4)
 
 
 def test_wrong_shapes_and_nan_are_faults():

@@ -116,6 +116,10 @@ def _depth_rounded(splats, scene, camera, params):
     return replace(splats, depths=splats.depths.astype(np.float16).astype(np.float32))
 
 
+def _depth_bits_kept(splats, scene, camera, params):
+    return reference.project(scene, camera, replace(params, depth_bits=32))
+
+
 def _radial_depth(splats, scene, camera, params):
     d, _ = reference.camera_space(scene, camera, slice(0, len(scene)))
     far = np.linalg.norm(d, axis=1)[splats.gaussian_ids]
@@ -230,6 +234,7 @@ WRONG = {
     "tight radii": (_splats(_tight_radii), P),
     "last Gaussian dropped": (_splats(_dropped_last), P),
     "depths in float16": (_splats(_depth_rounded), P),
+    "all bits of depths": (_splats(_depth_bits_kept), ("project",)),
     "numbers lost": (_splats(_no_numbers), P),
     "radial depth": (_splats(_radial_depth), P),
     "unstable ties": (replace(REFERENCE, sort=_unstable), ("sort", "picture")),

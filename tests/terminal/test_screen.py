@@ -269,6 +269,25 @@ def test_reading_returns_in_time():
         assert 0.1 <= time.monotonic() - begun < 0.5
 
 
+def test_a_watched_descriptor_ends_a_wait():
+    """As long as there is something to read; a key is an event of its own."""
+    with FakeTerminal() as terminal, session(terminal, terminal=Terminal()) as open_screen:
+        ours, theirs = os.pipe()
+        open_screen.watched = ours
+        os.write(theirs, b"x")
+        assert open_screen.read_events(None) == [Event("watched")]
+        assert open_screen.read_events(None) == [Event("watched")]
+        os.read(ours, 1)
+        assert open_screen.read_events(0.05) == []
+        terminal.type(b"j")
+        assert open_screen.read_events(2) == [Event("key", "j")]
+        os.close(theirs)  # the end can be read, too
+        assert open_screen.read_events(None) == [Event("watched")]
+        os.close(ours)
+        open_screen.watched = None
+        assert open_screen.read_events(0) == []
+
+
 def test_kitty_gets_a_nudge():
     """A window's first picture shows in kitty 0.48 only when something follows a little later."""
     facts = Terminal(kitty=True)

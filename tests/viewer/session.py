@@ -22,6 +22,15 @@ CELL = "▀".encode()
 DSR = b"\x1b[5n"
 
 
+def parent_of(pid):
+    """The process that started ``pid``; None if that is gone, or dead and not yet buried."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return None if fields[0] in "ZX" else int(fields[1])
+
+
 class Session:
     """The program on a pty whose other end answers as a plain 24-bit terminal would."""
 
@@ -75,7 +84,7 @@ class Session:
         self.pump(lambda: self.frames() > frames)
 
     def end(self, code):
-        """Waits for the exit; its code and that the terminal is as it was."""
+        """Waits for the exit; its code and that the terminal is as it was. What stderr says."""
         self.pump(lambda: self.process.poll() is not None)
         self.pump(lambda: not select.select([self.master], [], [], 0.1)[0])
         error = self.process.stderr.read()
@@ -85,6 +94,12 @@ class Session:
         tail = self.output[self.output.rindex(LEAVE) - 60 :]
         for undo in (b"\x1b[?2026l", b"\x1b[?1002l", b"\x1b[?25h", LEAVE):
             assert undo in tail, undo
+        return error
+
+    def children(self):
+        """Processes that the viewer has started and that are there."""
+        pids = [int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()]
+        return [pid for pid in pids if parent_of(pid) == self.process.pid]
 
     def close(self):
         """Leaves nothing behind, however the test went."""

@@ -89,3 +89,15 @@ def test_a_scene_that_cannot_be_read_leaves_the_terminal_untouched():
     assert made.process.stderr.read() == b"tsplat: missing.ply: no such file\n"
     assert made.output == b""
     made.close()
+
+
+@pytest.mark.parametrize("words", [(), ("--quality", "fast"), ("--set", "share=0.5")])
+def test_the_status_line_names_shortcuts(words):
+    """With --quality or --set the picture is another, and the screen says so; else it does not."""
+    session = Session("--presenter", "halfblock", "--max-splats", "300", *words)
+    session.pump(lambda: session.frames() >= 1 and b" ms cffi" in session.output)
+    line = session.output.split(b" ms cffi x")[1][1:12]
+    session.press(b"q")
+    session.end(0)
+    session.close()
+    assert line.split()[0] == (words[1].encode() if words else b"halfblock")

@@ -6,20 +6,34 @@ import argparse
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tsplat.commands.common import dropped_text, load, params, pose, print_json, say
+from tsplat.commands.common import (
+    calibrated,
+    dropped_text,
+    load,
+    params,
+    pose,
+    print_json,
+    say,
+)
 from tsplat.core.errors import ParamsError
-from tsplat.core.params import IDEAL, RenderParams
+from tsplat.core.params import IDEAL, RenderParams, settings_text
 from tsplat.core.stages import STAGES
 from tsplat.core.types import Scene
 from tsplat.core.workspace import Workspace
 from tsplat.io.images import check_output, needs_depth, write_output
 from tsplat.plan import Plan, Rendered, make_plan
 
+if TYPE_CHECKING:
+    from tsplat.quality.calibrate import Calibration
+
 
 def _params(arguments: argparse.Namespace) -> RenderParams:
     made = replace(params(arguments), depth=needs_depth(arguments.output))
+    chosen = arguments.quality or arguments.set or arguments.max_error
+    if chosen and (arguments.ideal or arguments.float64):
+        raise ParamsError("--ideal and --float64 leave no choice of quality")
     if arguments.ideal:
         return replace(
             made,
@@ -39,8 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
     scene = load(arguments, exact=arguments.ideal or arguments.float64)
     loaded = time.perf_counter() - begin
     camera = pose(arguments, scene)
+    wanted, calibration = calibrated(arguments, scene, camera, _params(arguments))
     plan = make_plan(
-        scene, backend=arguments.backend, threads=arguments.threads, params=_params(arguments),
+        scene, backend=arguments.backend, threads=arguments.threads, params=wanted,
         everything=arguments.everything,
     )  # fmt: skip
     workspace = Workspace(plan.threads)
@@ -52,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_output(arguments.output, runs[-1].frame, camera, arguments.background)
     seconds = {"load": loaded, **_over(runs, min)}
     if arguments.json:
-        print_json(_facts(scene, plan, runs, seconds))
+        print_json(_facts(scene, plan, runs, seconds, calibration))
     else:
         _tell(arguments.output, scene, plan, runs[-1], seconds)
     return 0
@@ -63,8 +78,9 @@ def _over(runs: Sequence[Rendered], summarise: Any) -> dict[str, float]:
 
 
 def _facts(
-    scene: Scene, plan: Plan, runs: Sequence[Rendered], seconds: Mapping[str, float]
-) -> dict[str, Any]:
+    scene: Scene, plan: Plan, runs: Sequence[Rendered], seconds: Mapping[str, float],
+    calibration: Calibration | None,
+) -> dict[str, Any]:  # fmt: skip
     import statistics
 
     last = runs[-1]
@@ -80,6 +96,13 @@ def _facts(
         "intersections": last.intersections,
         "seconds": dict(seconds),
         "seconds_median": _over(runs, statistics.median),
+        "settings": settings_text(plan.asked),
+        "calibration": calibration
+        and {
+            "cameras": calibration.cameras,
+            "pictures": len(calibration.tried),
+            **vars(calibration.picked.error),
+        },
         "left_out": [vars(item) for item in (*plan.left_out, *last.left_out)],
     }
 

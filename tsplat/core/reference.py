@@ -31,7 +31,7 @@ from tsplat.core.constants import (
 )
 from tsplat.core.params import RenderParams
 from tsplat.core.ties import break_ties
-from tsplat.core.types import F64, I32, Bins, Floats, Frame, Scene, Splats
+from tsplat.core.types import F32, F64, I32, Bins, Floats, Frame, Scene, Splats
 from tsplat.core.workspace import Workspace
 
 TILE_SIZE = 16
@@ -161,13 +161,20 @@ def _project_rows(
     columns = {
         "means2d": np.stack([mean_x, mean_y], 1)[kept],
         "factors": np.stack([u11, u12, u22], 1)[kept],
-        "depths": z[kept].astype(np.float32),
+        "depths": rounded_depths(z[kept], params),
         "opacities": opacity[kept],
         "colors": colors,
         "radii": np.stack([radius_x, radius_y], 1)[kept],
         "gaussian_ids": (seen[kept] + rows.start).astype(np.int32),
     }
     return cast("dict[str, NDArray[np.floating] | I32]", columns), overflowed
+
+
+def rounded_depths(z: F64, params: RenderParams) -> F32:
+    """Depths as they are compared: float32, in ``params.depth_bits``."""
+    depths = z.astype(np.float32)
+    wide = depths * np.float32(params.depth_split)
+    return np.asarray(wide - (wide - depths), np.float32)
 
 
 def project(

@@ -29,8 +29,9 @@ class Project(Protocol):
 
     Must keep every Gaussian with near < z < far that reaches a pixel (alpha at or above the
     threshold); may keep others. Depths are camera z, evaluated in float64 as
-    ``(r20 dx + r21 dy) + r22 dz`` without fused operations and rounded once to float32, so that
-    every backend sees the same order and the same ties.
+    ``(r20 dx + r21 dy) + r22 dz`` without fused operations and rounded once to float32, then to
+    ``params.depth_bits`` by ``params.depth_split``, so that every backend sees the same order and
+    the same ties.
     """
 
     def __call__(
@@ -108,6 +109,15 @@ class Fused(Protocol):
     ) -> tuple[Frame, Counts]: ...
 
 
+class Upscale(Protocol):
+    """A frame -> the same at another size, as :func:`tsplat.quality.upscale.upscale` has it.
+
+    No stage, and none has to offer it; within 1e-5 of what that function makes.
+    """
+
+    def __call__(self, frame: Frame, width: int, height: int, workspace: Workspace) -> Frame: ...
+
+
 def _nothing(scene: Scene, params: RenderParams) -> tuple[LeftOut, ...]:
     return ()
 
@@ -121,6 +131,7 @@ class Stages:
     bin: Bin | None = None
     composite: Composite | None = None
     fused: Fused | None = None  # only beside all four
+    upscale: Upscale | None = None
     # what fused leaves out of a scene's pictures, whatever the camera
     leaves_out: Callable[[Scene, RenderParams], tuple[LeftOut, ...]] = _nothing
 

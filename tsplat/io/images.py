@@ -142,6 +142,16 @@ def write_output(path: str, frame: Frame, camera: Camera | None, background: Bac
         raise OutputError(f"{shown}: {error}") from error
     except (OSError, ValueError, KeyError) as error:  # what Pillow raises: sizes, missing codecs
         raise OutputError(f"{shown}: Pillow cannot write it: {printable(error)}") from error
+    write_bytes(path, data)
+
+
+def write_bytes(path: str, data: bytes) -> None:
+    """Puts ``data`` at ``path``, whole or not at all; ``-`` is standard output.
+
+    Raises:
+        OutputError: it cannot be written; one line that says why.
+    """
+    shown = "standard output" if path == STDOUT else printable(path)
     try:
         if path == STDOUT:
             sys.stdout.buffer.write(data)

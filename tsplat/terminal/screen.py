@@ -80,6 +80,7 @@ class Screen:
     ) -> None:
         self.terminal = terminal or Terminal()
         self.cleanup = b""
+        self.watched: int | None = None  # descriptor; the event "watched" while it can be read
         self._asked = terminal is not None
         self._in, self._out, self._mouse, self._timeout = fd_in, fd_out, mouse, timeout
         self._environ = os.environ if environ is None else environ
@@ -315,7 +316,8 @@ class Screen:
             ends.append(self._heard + ESCAPE_SECONDS)
         limit = max(0.0, min(ends) - time.monotonic()) if ends else None
         wake = self._wake[0] if self._wake is not None else self._in
-        readable = select.select([self._in, wake], [], [], limit)[0]
+        watched = [] if self.watched is None else [self.watched]
+        readable = select.select([self._in, wake, *watched], [], [], limit)[0]
         if wake in readable and wake != self._in:
             with contextlib.suppress(BlockingIOError):
                 os.read(wake, READ_SIZE)
@@ -326,6 +328,8 @@ class Screen:
                     raise Terminated(signal.SIGHUP)
                 self._heard = time.monotonic()
                 self._take_in(self._decoder.feed(data))
+        if self.watched in readable:
+            self._queue.append(Event("watched"))
 
     def _take_in(self, events: list[Event]) -> None:
         for event in events:

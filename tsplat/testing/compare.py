@@ -58,15 +58,24 @@ def _differences(got: Frame, want: Frame) -> F64:
     return np.take_along_axis(stacked, largest, axis=2)[..., 0].astype(np.float64)
 
 
+def flips_allowed(pixels: int) -> int:
+    """How many of a picture's ``pixels`` may flip."""
+    return max(1, math.ceil(FLIPS_MAX * pixels))
+
+
 def compare_frames(
-    got: Frame,
-    want: Frame,
-    margins: F64,
-    tolerance: float = TOLERANCE,
-    crossing: float = CROSSING,
-) -> Comparison:
-    """``got`` against ``want``, the reference's float64 picture with its ``margins`` [H, W]."""
+    got: Frame, want: Frame, margins: F64, tolerance: float = TOLERANCE, of: int | None = None,
+    pictures: int = 1, crossing: float = CROSSING,
+) -> Comparison:  # fmt: skip
+    """``got`` against ``want``, the reference's float64 picture with its ``margins`` [H, W].
+
+    ``of``, if these are only a part of a picture, is the number of all its pixels: as many may
+    flip as in the whole, and whether flips lean is left to who sees all of them.
+    With ``pictures=2``, ``want`` is a backend's too, so both may err: twice as far and as often.
+    ``crossing`` is the relative distance from a threshold within which a pixel may flip.
+    """
     faults = []
+    tolerance *= pictures
     for name in ("rgb", "transmittance", "depth"):
         mine, theirs = getattr(got, name), getattr(want, name)
         if theirs is None:
@@ -93,11 +102,11 @@ def compare_frames(
             f"{int(wrong.sum())} pixels off by more than {tolerance:g} that sit on no threshold; "
             f"the worst, ({x}, {y}), by {error[y, x]:.3g}"
         )
-    allowed = max(1, math.ceil(FLIPS_MAX * error.size))
+    allowed = pictures * flips_allowed(of or error.size)
     if flips > allowed:
         faults.append(f"{flips} pixels flipped on a threshold; at most {allowed} may")
     # Fair coins: the surplus of one side stays within 4 standard deviations.
     surplus = abs(int((signed[flipped] > 0).sum()) * 2 - flips)
-    if surplus > 4 * math.sqrt(flips) + 1:
+    if of is None and surplus > 4 * math.sqrt(flips) + 1:
         faults.append(f"flips lean to one side: {surplus} more than the other of {flips}")
     return Comparison(rest, psnr(got, want), flips, tuple(faults))

@@ -150,10 +150,14 @@ def cameras(draw: st.DrawFn, scene: Scene, max_size: int = 40) -> Camera:
 
 
 def params() -> st.SearchStrategy[RenderParams]:
-    """The contract's thresholds with any SH degree, antialiased or not, with depth or without."""
+    """The contract's thresholds with any SH degree, antialiased or not, with depth or without.
+
+    Mostly with all bits of depths.
+    """
     return st.builds(
         RenderParams,
         sh_degree=st.integers(0, 3),
         antialias=st.booleans(),
         depth=st.booleans(),
+        depth_bits=st.sampled_from((32, 32, 24, 16)),
     )

@@ -9,6 +9,7 @@ from tsplat.presenters.base import Terminal
 from tsplat.viewer.controls import HELP
 
 PLAIN = b"\x1b[m"
+REVERSE = b"\x1b[7m"  # SGR 7: seen in any colours, and in none
 CLEAR_LINE = b"\x1b[K"
 CLEAR_SCREEN = b"\x1b[2J\x1b[H"
 
@@ -29,9 +30,11 @@ def fitted(text: str, cells: int) -> str:
     return out
 
 
-def status_line(text: str, terminal: Terminal) -> bytes:
+def status_line(text: str, terminal: Terminal, alarm: bool = False) -> bytes:
     """``text`` on the last row, which presenters leave alone; the cursor cannot wrap."""
     shown = fitted(text, terminal.columns - 1).encode()
+    if alarm:
+        shown = REVERSE + shown + PLAIN
     return PLAIN + _cup(terminal.rows) + shown + CLEAR_LINE
 
 

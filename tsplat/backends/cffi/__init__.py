@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,6 +12,14 @@ from tsplat.core.types import Scene
 from tsplat.hookspecs import hookimpl
 
 REMEDY = "install a C compiler (gcc or clang) and reinstall tsplat with pip install --no-cache-dir"
+
+
+WAITING = {"OMP_WAIT_POLICY": "passive", "GOMP_SPINCOUNT": "10000"}
+"""What OpenMP reads when it is loaded: its threads may spin for some 10 us before they sleep.
+
+By default they spin for milliseconds. On a machine with other work that takes the CPU away from the
+very thread that is waited for: small frames took ten times as long, large ones twice.
+"""
 
 
 def unavailable() -> str | None:
@@ -33,12 +42,14 @@ def load() -> Stages:
     Raises:
         PluginError: ``TSPLAT_ISA`` names one that this CPU or build does not offer.
     """
-    from tsplat.backends.cffi import frame, isa, stages
+    for name, value in WAITING.items():
+        os.environ.setdefault(name, value)
+    from tsplat.backends.cffi import frame, isa, stages, upscale
 
     isa.use_environment()
     return Stages(
         project=stages.project, sort=stages.sort, bin=stages.bin, composite=stages.composite,
-        fused=frame.fused, leaves_out=frame.leaves_out,
+        fused=frame.fused, upscale=upscale.upscale, leaves_out=frame.leaves_out,
     )  # fmt: skip
 
 

@@ -69,6 +69,7 @@ def params_struct(params: RenderParams, degree: int) -> Any:
             "transmittance_min": params.transmittance_min,
             "sh_degree": degree,
             "antialias": params.antialias,
+            "depth_split": params.depth_split,
         },
     )
 

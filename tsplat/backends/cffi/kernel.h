@@ -20,6 +20,7 @@ enum {
     TSPLAT_BOUNDS = 8,          /* numbers that bound a cluster */
     TSPLAT_SLABS = 8,           /* most slabs of depth that a frame is made in */
     TSPLAT_COLUMNS = 12,        /* packed floats per Gaussian, and three more with its colour */
+    TSPLAT_TAPS = 4,            /* pixels that one is interpolated from, along each axis */
     TSPLAT_BAD_SIZE = 1,        /* a count, a size or a thread number out of range */
     TSPLAT_BAD_ID = 2,          /* an index points outside the array it indexes */
     TSPLAT_BAD_ISA = 3,         /* this CPU or build does not offer that instruction set */
@@ -52,6 +53,7 @@ typedef struct {
     double transmittance_min;
     int32_t sh_degree;          /* 0..3, at most what the scene's coefficients allow */
     int32_t antialias;          /* 0 or 1 */
+    float depth_split;          /* RenderParams.depth_split; 1 keeps all bits */
 } tsplat_params;
 
 typedef struct {
@@ -169,4 +171,18 @@ int tsplat_frame_composite(const tsplat_packed *packed, const tsplat_camera *cam
                            const tsplat_params *params, int skip, int resume, int last,
                            const tsplat_space *space, int64_t longest, float *rgb,
                            float *transmittance, float *depth, int threads);
+
+/* A layer of a picture and where it goes at another size: w, h before and W, H after. */
+typedef struct {
+    const float *small;          /* [h, w, channels] */
+    float *large;                /* [H, W, channels] */
+    const int32_t *columns, *rows; /* [W, TSPLAT_TAPS], [H, TSPLAT_TAPS]: which pixels */
+    const float *column_weights, *row_weights; /* likewise: how much of each */
+    int32_t width, height, channels; /* w, h; 1 or 3 */
+    int32_t out_width, out_height;   /* W, H */
+    float most;                  /* what is more, and what is less than 0, is cut off */
+} tsplat_layer;
+
+/* Interpolates a layer. scratch [threads, w * channels + 1]. */
+int tsplat_upscale(const tsplat_layer *layer, float *scratch, int threads);
 #endif

@@ -134,7 +134,8 @@ TARGET static inline unsigned NAME(project)(const lens *lens, const float *in, u
     out->u11 = JOIN(DMUL(var_y[0], share_low), DMUL(var_y[1], share_high));
     out->u12 = JOIN(DFNMA(g[0].xy, share_low, zero), DFNMA(g[1].xy, share_high, zero));
     out->u22 = DIV(one, width_y);
-    out->z = JOIN(g[0].z, g[1].z);
+    VF z = JOIN(g[0].z, g[1].z), wide = MUL(z, SET1(lens->depth_split));
+    out->z = SUB(wide, SUB(wide, z));
     out->opacity = opacity;
     out->radius_x = radius_x;
     out->radius_y = radius_y;

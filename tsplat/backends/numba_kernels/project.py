@@ -40,8 +40,10 @@ from tsplat.core.types import F32, F64, I32
 LANES = 8  # Gaussians projected at a time
 
 # Entries of the camera's numbers.
-CENTRE, FX, FY, CX, CY, NEAR, FAR, LEFT, RIGHT, TOP, BOTTOM, WIDTH, HEIGHT = 9, *range(12, 24)
-VIEW = 24
+CENTRE, FX, FY, CX, CY, NEAR, FAR, LEFT, RIGHT, TOP, BOTTOM, WIDTH, HEIGHT, SPLIT = (
+    9, *range(12, 25)
+)  # fmt: skip
+VIEW = 25
 
 # What a group of Gaussians leaves for its splats: vectors of each, float64 and float32.
 MEAN_X, MEAN_Y = 0, LANES
@@ -169,7 +171,9 @@ def _project_group(
     store(space, U11, convert(var_y * share, np.float32))
     store(space, U12, convert(-xy * share, np.float32))
     store(space, U22, ONE / width_y)
-    store(space, Z, convert(depth, np.float32))
+    z = convert(depth, np.float32)
+    wide = z * np.float32(view_[SPLIT])
+    store(space, Z, wide - (wide - z))
     store(space, OPACITY, opacity)
     store(space, RADIUS_X, radius_x)
     store(space, RADIUS_Y, radius_y)

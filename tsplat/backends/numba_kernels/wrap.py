@@ -66,7 +66,7 @@ def _pieces(threads: int) -> int:
     return 1 if threads == 1 else 4 * threads
 
 
-def _view(camera: Camera, scene: Scene) -> F64:
+def _view(camera: Camera, scene: Scene, params: RenderParams) -> F64:
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
     width, height = camera.width, camera.height
     margin_x, margin_y = CLAMP_MARGIN * width / (2 * fx), CLAMP_MARGIN * height / (2 * fy)
@@ -75,7 +75,7 @@ def _view(camera: Camera, scene: Scene) -> F64:
         camera.near, camera.far,
         -cx / fx - margin_x, (width - cx) / fx + margin_x,
         -cy / fy - margin_y, (height - cy) / fy + margin_y,
-        width, height,
+        width, height, params.depth_split,
     ], np.float64)  # fmt: skip
 
 
@@ -92,7 +92,7 @@ class _Projection:
         sh = workspace.float32(scene.sh)
         gaussians = (scene.means, scene.quats, scene.scales, scene.opacities, sh)
         self._shared = (
-            *(_at_least(lanes, array) for array in gaussians), _view(camera, scene),
+            *(_at_least(lanes, array) for array in gaussians), _view(camera, scene, params),
             min(params.sh_degree, scene.sh_degree), params.antialias,
             max(params.alpha_threshold, ALPHA_FLOOR),
         )  # fmt: skip
