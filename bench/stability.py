@@ -139,7 +139,7 @@ comparison and have no bound.
 
 What the table shows:
 
-- Where nothing cancels, float32 costs 1e-7 to 1e-6, whatever the size of things: 1e-40 units, 1e37
+- Where nothing cancels, float32 costs 1e-7 to 1e-6, whatever the size of things: 1e-40 units, 1e31
   units and a focal length of 1e-100 px are no harder than a scene of the usual size.
 - `ac-b²` is off by more than the bound from needles of 100 px on, and where a picture far off the
   axis stretches splats. At 10,000 px its determinant is not positive for half of the needles, at

@@ -8,8 +8,16 @@ import sys
 import pytest
 
 from tsplat.backends.cffi import isa
+from tsplat.core.workspace import Workspace
 from tsplat.plugins import load_backend, plugins
-from tsplat.testing.stiff import CASES, REFUSALS, check_refusal, check_stiff, stiff_checks
+from tsplat.testing.stiff import (
+    CASES,
+    REFUSALS,
+    check_refusal,
+    check_stiff,
+    prepared,
+    stiff_checks,
+)
 
 BACKENDS = [plugins().backends[name] for name in ("numpy", "numba")]
 CFFI = plugins().backends["cffi"]
@@ -52,6 +60,14 @@ def test_impossible_cameras_are_refused(refusal):
     """With a CameraError that has the words expected, and no warning before it."""
     verdict = check_refusal(refusal)
     assert verdict.passed, verdict
+
+
+def test_the_crowd_is_cut_into_slabs():
+    """The C kernel's way for crowded frames is taken by the case that is meant for it."""
+    (case,) = (c for c in CASES if c.name == "3,000 large ones at five depths")
+    scene, camera, params, _ = prepared(case)
+    _, counts = load_backend(CFFI).fused(scene, camera, params, Workspace(2))
+    assert any("intersections" in left.what for left in counts.left_out), counts
 
 
 def test_names_are_distinct():

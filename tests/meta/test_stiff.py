@@ -15,6 +15,7 @@ from tsplat.testing.stiff import CASES, REFUSALS, Refusal, check_refusal, check_
 BY_NAME = {case.name: case for case in CASES}
 NEAR = "on the near and the far plane"
 TURNED = "one float64 in front of a turned near plane"
+BEYOND = "depths beyond the end of float32"
 ON = "exactly on a turned near plane"
 
 
@@ -64,6 +65,12 @@ def _other_order(scene, camera, params):
     z = r[0] * d[0] + (r[1] * d[1] + r[2] * d[2])
     near = np.nextafter(p[2], 0) if z > camera.near else p[2]
     return scene, replace(camera, near=float(near)), params
+
+
+def _endless(scene, camera, params):
+    camera = replace(camera)
+    object.__setattr__(camera, "far", np.inf)
+    return scene, camera, params
 
 
 def _short_factors(splats, scene, camera, params):
@@ -149,6 +156,7 @@ CAUGHT: dict[str, tuple[Stages, list[str]]] = {
     ),
     "near test in float32": (changed(_near_in_float32), [TURNED]),
     "z summed in another order": (projecting(_other_order), [TURNED, ON]),
+    "far plane at infinity": (projecting(_endless), [BEYOND]),
     "far plane drawn": (
         projecting(lambda s, c, p: (s, replace(c, far=np.nextafter(c.far, np.inf)), p)), [NEAR],
     ),
@@ -170,7 +178,9 @@ CAUGHT: dict[str, tuple[Stages, list[str]]] = {
     ),
     "alpha cap missing": (WRONG["alpha cap missing"][0], ["10,000 opaque layers"]),
     "unstable ties": (WRONG["unstable ties"][0], ["3,000 at equal depth", "depths by one ulp"]),
-    "ties by row": (WRONG["ties by row"][0], ["3,000 at equal depth"]),
+    "ties by row": (
+        WRONG["ties by row"][0], ["3,000 at equal depth", "3,000 large ones at five depths"],
+    ),
     "depths cut off": (changed(_depths_cut_off), ["depths by one ulp"]),
     "early stop missing": (
         replace(REFERENCE, composite=lambda s, b, p, w: reference.composite(
@@ -203,7 +213,7 @@ def test_a_wrong_backend_is_caught(name):
 
 
 FLAT = {  # nothing in them depends on half a pixel
-    "exactly on a turned near plane", "focal length of 1e200 px", "100,000 faint layers",
+    "exactly on a turned near plane", "focal length of 1e200 px", BEYOND, "100,000 faint layers",
     "5,000 layers without a stop",
 }  # fmt: skip
 

@@ -12,8 +12,9 @@ NEAR = 0.01
 FAR = 1e10
 """World units; Gaussians at or behind it are not drawn (gsplat ``far_plane``)."""
 
-FAR_MAX = 1e38
-"""World units; no far plane is farther, for float32 ends at 3.4e38 and depths must be finite."""
+FAR_MAX = 1e31
+"""World units; no far plane is farther. float32 ends at 3.4e38, depths must be finite, and what
+rounds them to few bits multiplies them by up to 4e6 (``RenderParams.depth_split``)."""
 
 EPS2D = 0.3
 """px^2 added to both variances of a projected Gaussian: the low-pass filter of EWA splatting

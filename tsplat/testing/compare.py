@@ -77,6 +77,7 @@ def compare_frames(
     ``of``, if these are only a part of a picture, is the number of all its pixels: as many may
     flip as in the whole, and whether flips lean is left to who sees all of them.
     With ``pictures=2``, ``want`` is a backend's too, so both may err: twice as far and as often.
+    ``crossing`` is the relative distance from a threshold within which a pixel may flip.
     """
     faults = []
     tolerance *= pictures

@@ -138,7 +138,12 @@ def _project(scene: Scene, camera: Camera, params: RenderParams) -> tuple[_Drawn
     seen = (depth > camera.near) & (depth < camera.far) & (scene.opacities >= NEARLY * threshold)
     rows = np.flatnonzero(seen)
     numbers = np.arange(len(scene)) if scene.numbers is None else scene.numbers
-    rows = rows[np.lexsort((numbers[rows], depth[rows].astype(np.float32)))]
+    compared = depth[rows].astype(np.float32)
+    if params.depth_split != 1:  # to the bit as docs/contract.md has it
+        wide = compared * np.float32(params.depth_split)
+        compared = wide - (wide - compared)
+    order = np.lexsort((numbers[rows], compared))
+    rows, compared = rows[order], compared[order]
 
     world = [Wide.of(m) + o for m, o in zip(scene.means[rows].T, scene.origin, strict=True)]
     view = [[Wide.of(number) for number in row] for row in camera.viewmat]
@@ -178,7 +183,7 @@ def _project(scene: Scene, camera: Camera, params: RenderParams) -> tuple[_Drawn
     drawn = _Drawn(
         (mean[0][keep], mean[1][keep]), (wide_a[keep], b[keep], wide_c[keep]), det[keep],
         opacity[keep], _colors(scene, camera, rows[keep], degree),
-        depth[rows[keep]].astype(np.float32),
+        compared[keep],
     )  # fmt: skip
     return drawn, overflowed
 

@@ -134,9 +134,19 @@ CASES: tuple[Stiff, ...] = (
         scenes.beyond_float32,
     ),
     Stiff(
-        "depths up to the end of float32",
-        "Beyond it a depth is infinite, and infinity times 0 no number. No far plane is so far.",
-        scenes.far_out,
+        "depths up to 1e31",
+        "The far plane is at infinity; no depth may be.",
+        partial(scenes.far_out, 0.0, 32),
+    ),
+    Stiff(
+        "depths beyond the end of float32",
+        "Up to 4e38, which is infinity, and infinity times 0 no number. Nothing is to be seen.",
+        partial(scenes.far_out, 1e38, 32),
+    ),
+    Stiff(
+        "depths of 12 bits up to 1e31",
+        "To be rounded they are multiplied by a million, which must not make them infinite.",
+        partial(scenes.far_out, 0.0, 12),
     ),
     Stiff(
         "centres at 1e7 m",
@@ -149,9 +159,9 @@ CASES: tuple[Stiff, ...] = (
         partial(scenes.telephoto, 1e7, 1e6, turned=True),
     ),
     Stiff(
-        "focal length of 1e30 px",
-        "At a distance of 1e37, where Gaussians are 1e7 across and depths near float32's end.",
-        partial(scenes.telephoto, 1e30, 1e37),
+        "focal length of 1e24 px",
+        "At a distance of 6e30, where Gaussians are 1e7 across and squares of depths infinite.",
+        partial(scenes.telephoto, 1e24, 6e30),
     ),
     Stiff(
         "focal length of 1e200 px",
@@ -191,6 +201,11 @@ CASES: tuple[Stiff, ...] = (
         "3,000 at equal depth",
         "Only their numbers say which is in front, and rows are in another order.",
         scenes.equal_depths,
+    ),
+    Stiff(
+        "3,000 large ones at five depths",
+        "Who cuts a crowded frame into slabs of depth must not cut between equals.",
+        scenes.crowd,
     ),
     Stiff(
         "depths by one ulp",
@@ -308,7 +323,9 @@ def check_stiff(stages: Stages, case: Stiff, threads: int = 2) -> Verdict:
         except (ArithmeticError, Warning) as error:
             faults.append(f"{prefix}{type(error).__name__}: {error}")
             continue
-        found = compare_frames(frame, oracle.frame, oracle.margins, case.bound, case.crossing)
+        found = compare_frames(
+            frame, oracle.frame, oracle.margins, case.bound, crossing=case.crossing
+        )
         t = frame.transmittance
         if not ((t >= 0) & (t <= 1)).all():
             faults.append(f"{prefix}transmittance outside 0..1: {t.min()} to {t.max()}")

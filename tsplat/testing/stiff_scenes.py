@@ -215,16 +215,18 @@ def beyond_float32() -> Made:
     return _scene(means, scales=scales), _camera(near=1e-35), PLAIN
 
 
-def far_out() -> Made:
-    """Depths up to the end of float32 and beyond it; ``far`` is infinite."""
-    z = np.array([1.0, 1e10, 1e20, 9e37, 1.1e38, 3e38])
-    scene = _scene(np.column_stack([0 * z, 0 * z, z]), scales=0.03 * z, opacities=0.3)
+def far_out(shift: float, bits: int) -> Made:
+    """Depths up to the end of float32, and ``shift`` beyond; ``far`` is infinite."""
+    z = np.array([1.0, 1e10, 1e20, 8e30, 9e30, 1.1e31, 1e38, 3e38])
+    means = np.column_stack([0 * z, 0 * z, z])
     view = np.eye(4)
-    view[2, 3] = 1e38
+    view[2, 3] = shift
     camera = replace(_camera(far=math.inf), viewmat=view)
-    both = np.concatenate([scene.means, scene.means[-3:] * np.float32(-1)])
-    scene = _scene(both, scales=np.append(0.03 * z, 0.03 * z[-3:]), opacities=0.3)
-    return scene, camera, WITH_DEPTH
+    return (
+        _scene(means, scales=0.03 * z, opacities=0.3),
+        camera,
+        replace(WITH_DEPTH, depth_bits=bits),
+    )
 
 
 def georeferenced() -> Made:
@@ -295,6 +297,16 @@ def equal_depths() -> Made:
     means = rng.uniform([-1.5, -1.5, 5], [1.5, 1.5, 5], (3000, 3))
     numbers = rng.permutation(3000).astype(np.int32)
     return _scene(means, opacities=0.6, numbers=numbers), _camera(20, 20), PLAIN
+
+
+def crowd() -> Made:
+    """3,000 as large as half the picture at five depths, a float32 apart."""
+    rng = np.random.default_rng(20)
+    z = (np.float32(5).view(np.int32) + rng.integers(0, 5, 3000, np.int32)).view(np.float32)
+    means = np.column_stack([rng.uniform(-1.5, 1.5, (3000, 2)).astype(np.float32), z])
+    numbers = rng.permutation(3000).astype(np.int32)
+    scene = _scene(means, scales=0.5, opacities=0.5, numbers=numbers)
+    return scene, _camera(64, 64), WITH_DEPTH
 
 
 def depths_by_one_ulp() -> Made:

@@ -1,7 +1,7 @@
 /* Written by `python -m tsplat.backends.cffi.build --constants`; do not edit. */
 #define NEAR 0.01
 #define FAR 10000000000.0
-#define FAR_MAX 1e+38
+#define FAR_MAX 1e+31
 #define EPS2D 0.3
 #define CLAMP_MARGIN 0.3
 #define ALPHA_MAX 0.999

@@ -7,14 +7,18 @@ compile time, and leaves the order of every sum to the kernel: the bits do not d
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
+
+from tsplat.core import constants
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _R = TypeVar("_R")
@@ -30,16 +34,34 @@ OPTIONS: dict[str, Any] = {
 }
 
 
-def kernel(function: _F) -> _F:
-    """``function`` compiled on its first call, then read from numba's cache on disk.
+def _cache_folder() -> str:
+    """Where numba may keep what it compiled: one folder for each state of the kernels' sources.
 
-    numba drops what it cached when the function's own file changes, not when what it imports
-    does: after an edit of ``core/constants.py`` or ``simd.py``, touch the kernels.
+    By itself numba drops what it cached when the function's own file changes, not when what it
+    calls or imports does.
     """
+    here = Path(__file__).parent
+    sources = [*sorted(here.glob("*.py")), Path(constants.__file__)]
+    state = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
+    if os.access(here, os.W_OK):
+        usual = here / "__pycache__"
+    else:
+        usual = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tsplat"
+    return str(Path(numba.config.CACHE_DIR or usual) / f"kernels-{state}")
+
+
+_CACHE_FOLDER = _cache_folder()
+
+
+def kernel(function: _F) -> _F:
+    """``function`` compiled on its first call, then read from numba's cache on disk."""
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE_FOLDER
     try:
         compiled: Any = numba.njit(cache=True, **OPTIONS)(function)
-    except RuntimeError:  # nowhere to write a cache: compile in every process
+    except (RuntimeError, OSError):  # nowhere to write a cache: compile in every process
         compiled = numba.njit(**OPTIONS)(function)
+    finally:
+        numba.config.CACHE_DIR = before
     return cast(_F, compiled)
 
 
