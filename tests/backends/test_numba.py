@@ -6,11 +6,12 @@ import os
 import pty
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 
 import tsplat
-from tsplat.backends.numba_kernels import wrap
+from tsplat.backends.numba_kernels import jit, wrap
 from tsplat.backends.numba_kernels.jit import kernel
 from tsplat.backends.numba_kernels.simd import (
     bits,
@@ -23,7 +24,7 @@ from tsplat.backends.numba_kernels.simd import (
     select,
     store,
 )
-from tsplat.core import reference
+from tsplat.core import constants, reference
 from tsplat.core.camera import look_at
 from tsplat.core.params import RenderParams
 from tsplat.core.workspace import Workspace
@@ -102,3 +103,13 @@ def test_large_splats_are_listed_like_the_references():
     assert len(want) > 16 * n
     assert np.array_equal(got.tile_offsets, want.tile_offsets)
     assert np.array_equal(got.splat_ids, want.splat_ids)
+
+
+def test_what_is_compiled_is_kept_by_the_sources_of_all_kernels(monkeypatch, tmp_path):
+    """Another constant, another folder: nothing compiled with the old one is ever read."""
+    before = jit._cache_folder()
+    assert before == jit._cache_folder() == jit._CACHE_FOLDER
+    other = tmp_path / "constants.py"
+    other.write_bytes(Path(constants.__file__).read_bytes() + b"EPS2D = 0.1\n")
+    monkeypatch.setattr(constants, "__file__", str(other))
+    assert jit._cache_folder() != before

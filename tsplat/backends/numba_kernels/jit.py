@@ -23,6 +23,8 @@ from tsplat.core import constants
 _F = TypeVar("_F", bound=Callable[..., Any])
 _R = TypeVar("_R")
 
+_config: Any = numba.config
+
 OPTIONS: dict[str, Any] = {
     "nogil": True,
     # In words: off. It would let LLVM fuse and reorder sums, but depths must have the same bits
@@ -47,7 +49,7 @@ def _cache_folder() -> str:
         usual = here / "__pycache__"
     else:
         usual = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tsplat"
-    return str(Path(numba.config.CACHE_DIR or usual) / f"kernels-{state}")
+    return str(Path(_config.CACHE_DIR or usual) / f"kernels-{state}")
 
 
 _CACHE_FOLDER = _cache_folder()
@@ -55,13 +57,13 @@ _CACHE_FOLDER = _cache_folder()
 
 def kernel(function: _F) -> _F:
     """``function`` compiled on its first call, then read from numba's cache on disk."""
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _CACHE_FOLDER
+    before, _config.CACHE_DIR = _config.CACHE_DIR, _CACHE_FOLDER
     try:
         compiled: Any = numba.njit(cache=True, **OPTIONS)(function)
     except (RuntimeError, OSError):  # nowhere to write a cache: compile in every process
         compiled = numba.njit(**OPTIONS)(function)
     finally:
-        numba.config.CACHE_DIR = before
+        _config.CACHE_DIR = before
     return cast(_F, compiled)
 
 
