@@ -52,6 +52,14 @@ examples:
   tsplat render scene.ply -o out.png --repeat 10 --json
   tsplat render scene.ply -o out.png --quality fast
   tsplat render scene.ply -o out.png --max-error 1
+  tsplat render scene.ply -o turn.gif --path orbit --size 640x360
+  tsplat render scene.ply -o film.mp4 --path path.json --frames 240 --fps 30
+  tsplat render scene.ply -o frames-%04d.png --path path.json    again: goes on where it stopped
+  tsplat render scene.ply -o turn.cast --path orbit --size 100x30
+
+A path is a list of cameras, ours or INRIA's, each with a "time" in seconds or none; the camera
+passes through all of them smoothly. "orbit" turns the view that the camera options give once round
+the scene.
 """
 INFO_EXAMPLES = """\
 examples:
@@ -259,9 +267,24 @@ def make_parser() -> argparse.ArgumentParser:
         ".npz (rgb, transmittance, depth, camera), - for PNG on stdout",
     )  # fmt: skip
     render.add_argument(
-        "--size", type=_pair, metavar="WxH", help="px (the camera's own, or 1280x720)"
-    )
+        "--size", type=_pair, metavar="WxH",
+        help="px (the camera's own, or 1280x720); cells for .cast (80x24)",
+    )  # fmt: skip
     _add_pose(render)
+    film = render.add_argument_group(
+        "films", "to .gif .webp .mp4 (needs ffmpeg) .cast (asciinema), out-%%04d.png or a folder"
+    )
+    film.add_argument(
+        "--path", metavar="FILE|orbit", help="cameras to go through, or once round the scene"
+    )
+    film.add_argument(
+        "--frames", type=_count, metavar="N", help="(as many as the path's seconds take; orbit: 4)"
+    )
+    film.add_argument("--fps", type=_positive, metavar="R", help="frames a second (25)")
+    film.add_argument(
+        "--force", action="store_true", help="make frames of a PNG sequence again that are there"
+    )
+    film.add_argument("--presenter", metavar="P", help="what draws in a .cast (halfblock)")
     _add_engine(render)
     _add_quality(render)
     render.add_argument(

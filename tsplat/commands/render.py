@@ -1,4 +1,4 @@
-"""``tsplat render``: one picture into a file, and what it took."""
+"""``tsplat render``: one picture into a file, and what it took. Films are ``film.py``'s."""
 
 from __future__ import annotations
 
@@ -28,8 +28,11 @@ from tsplat.plan import Plan, Rendered, make_plan
 if TYPE_CHECKING:
     from tsplat.quality.calibrate import Calibration
 
+FILM_ONLY = ("frames", "fps", "force", "presenter")
 
-def _params(arguments: argparse.Namespace) -> RenderParams:
+
+def wanted(arguments: argparse.Namespace) -> RenderParams:
+    """The settings that the command line asks for, without what ``--max-error`` may choose."""
     made = replace(params(arguments), depth=needs_depth(arguments.output))
     chosen = arguments.quality or arguments.set or arguments.max_error
     if chosen and (arguments.ideal or arguments.float64):
@@ -46,6 +49,12 @@ def _params(arguments: argparse.Namespace) -> RenderParams:
 
 def run(arguments: argparse.Namespace) -> int:
     """Loads, renders, writes, reports."""
+    if arguments.path is not None:
+        from tsplat.commands import film
+
+        return film.run(arguments)
+    if alone := [name for name in FILM_ONLY if getattr(arguments, name)]:
+        raise ParamsError(f"--{alone[0]} is for films: say with --path where the camera goes")
     if arguments.json and arguments.output == "-":
         raise ParamsError("--json and -o - both write to stdout; choose one")
     check_output(arguments.output, arguments.background)
@@ -53,9 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
     scene = load(arguments, exact=arguments.ideal or arguments.float64)
     loaded = time.perf_counter() - begin
     camera = pose(arguments, scene)
-    wanted, calibration = calibrated(arguments, scene, camera, _params(arguments))
+    settings, calibration = calibrated(arguments, scene, camera, wanted(arguments))
     plan = make_plan(
-        scene, backend=arguments.backend, threads=arguments.threads, params=wanted,
+        scene, backend=arguments.backend, threads=arguments.threads, params=settings,
         everything=arguments.everything,
     )  # fmt: skip
     workspace = Workspace(plan.threads)

@@ -108,6 +108,13 @@ class Camera:
         scale = np.array([[width / self.width], [height / self.height], [1.0]])
         return replace(self, K=self.K * scale, width=width, height=height)
 
+    def reframed(self, width: int, height: int) -> Camera:
+        """The same height of view in ``width`` x ``height`` px: sides are cut off or added."""
+        scale = height / self.height
+        K = self.K * np.array([[scale], [scale], [1.0]])
+        K[0, 2] += (width - scale * self.width) / 2
+        return replace(self, K=K, width=width, height=height)
+
 
 def _finite(array: F64) -> str:
     bad = int(array.size - np.isfinite(array).sum())

@@ -7,6 +7,8 @@ INRIA's ``cameras.json`` (graphdeco-inria/gaussian-splatting ``utils/camera_util
 ``camera_to_JSON``): ``{"id", "img_name", "width", "height", "position", "rotation", "fx", "fy"}``,
 where position is the camera's centre and rotation's rows are those of camera to world. The
 principal point is the image's middle.
+
+In a camera path (``tsplat.paths``) each may have a ``time`` in seconds.
 """
 
 from __future__ import annotations
@@ -37,6 +39,15 @@ def load_cameras(path: str | os.PathLike[str]) -> list[Camera]:
         CameraError: it cannot be read, is not JSON, or an entry is no camera; one line that
             names the file, the entry's index and what is wrong.
     """
+    return [camera for camera, _ in load_timed_cameras(path)]
+
+
+def load_timed_cameras(path: str | os.PathLike[str]) -> list[tuple[Camera, float | None]]:
+    """Every camera in the file with its ``time`` in seconds; None where it has none.
+
+    Raises:
+        CameraError: as :func:`load_cameras`, or a time is no number.
+    """
     shown = printable(path)
     data = _json(Path(path), shown)
     entries = data if isinstance(data, list) else [data]
@@ -45,9 +56,11 @@ def load_cameras(path: str | os.PathLike[str]) -> list[Camera]:
     cameras = []
     for index, entry in enumerate(entries):
         try:
-            cameras.append(camera_from_json(entry))
+            camera, time = camera_from_json(entry), entry.get("time")
+            seconds = None if time is None else float(_numbers(time, "time", ()))
         except CameraError as error:
             raise CameraError(f"{shown}: camera {index}: {error}") from error
+        cameras.append((camera, seconds))
     return cameras
 
 

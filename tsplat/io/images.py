@@ -62,6 +62,16 @@ def check_output(path: str, background: Background = (0.0, 0.0, 0.0)) -> None:
         if sys.stdout.isatty():
             raise OutputError("standard output is a terminal; redirect it: tsplat ... > image.png")
         return
+    check_place(path)
+
+
+def check_place(path: str) -> None:
+    """Finds out whether a file can be put at ``path``.
+
+    Raises:
+        OutputError: no such directory, no permission, or what is there is no regular file.
+    """
+    shown = printable(path)
     place = Path(os.path.realpath(path))
     if not place.parent.is_dir():
         raise OutputError(f"{shown}: no directory {printable(place.parent)}; create it first")
