@@ -17,7 +17,7 @@ from typing import TextIO
 from tsplat._version import __version__
 from tsplat.core.errors import TsplatError, printable
 
-COMMANDS = ("view", "render", "info", "plugins", "check", "bench")
+COMMANDS = ("view", "cat", "render", "info", "plugins", "check", "bench")
 SHELLS = ("bash", "zsh", "tcsh")
 VECTORS = ("--eye", "--target", "--up", "--background")
 
@@ -26,6 +26,7 @@ DESCRIPTION = """\
 
   tsplat scene.ply                       look at a scene (the same as tsplat view scene.ply)
   tsplat                                 look at the built-in demo scene
+  tsplat cat scene.ply                   a picture among the text of this terminal
   tsplat render scene.ply -o out.png     make a picture, no terminal needed
   tsplat info scene.ply                  what is in a file
   tsplat plugins                         backends, presenters and readers that are installed
@@ -42,6 +43,17 @@ examples:
 
 keys: W A S D pan, arrows or J K / H L turn, + - zoom, mouse drag turns, wheel zooms,
       O auto-orbit, U upside up, R reset, Tab status line, ? help, Q quit
+"""
+CAT_EXAMPLES = """\
+examples:
+  tsplat cat scene.ply
+  tsplat cat *.ply --rows 10
+  tsplat cat scene.ply --camera cameras.json#3 --presenter sixel
+  tsplat cat scene.ply | less -R
+  tsplat cat scene.ply --columns 100 > picture.txt
+
+A terminal is asked what it can do, as by tsplat view. A pipe or file gets half blocks in 24 bits,
+80x24 cells at most unless COLUMNS and LINES or the options say otherwise.
 """
 RENDER_EXAMPLES = """\
 examples:
@@ -133,6 +145,13 @@ def _count(text: str) -> int:
     return int(text)
 
 
+def _cells(text: str) -> int:
+    value = _count(text)
+    if value > 999:
+        raise argparse.ArgumentTypeError(f"expected 1 to 999, got {value}")
+    return value
+
+
 def _positive(text: str) -> float:
     try:
         value = float(text)
@@ -150,11 +169,11 @@ def _threads(text: str) -> int:
     return value
 
 
-def _add_scene(parser: argparse.ArgumentParser, optional: bool = True) -> None:
+def _add_scene(parser: argparse.ArgumentParser, optional: bool = True, many: bool = False) -> None:
     parser.add_argument(
         "scene",
         metavar="SCENE",
-        nargs="?" if optional else None,
+        nargs="*" if many else "?" if optional else None,
         help="a splat file" + ("; the built-in demo scene if left out" if optional else ""),
     )
     reading = parser.add_argument_group("reading")
@@ -226,6 +245,19 @@ def _add_pose(parser: argparse.ArgumentParser) -> None:
     pose.add_argument("--far", type=_positive, metavar="Z", help="nothing farther is drawn")
 
 
+def _add_presenter(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--presenter", default="auto", metavar="P",
+        help="kitty, iterm2, sixel, halfblock, another of `tsplat plugins`, or auto (default)",
+    )  # fmt: skip
+
+
+def _add_background(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each"
+    )
+
+
 def make_parser() -> argparse.ArgumentParser:
     """The whole command line."""
     raw = argparse.RawDescriptionHelpFormatter
@@ -247,17 +279,22 @@ def make_parser() -> argparse.ArgumentParser:
     _add_scene(view)
     _add_engine(view)
     _add_quality(view)
-    view.add_argument(
-        "--presenter", default="auto", metavar="P",
-        help="kitty, iterm2, sixel, halfblock, another of `tsplat plugins`, or auto (default)",
-    )  # fmt: skip
-    view.add_argument(
-        "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each"
-    )
+    _add_presenter(view)
+    _add_background(view)
     view.add_argument(
         "--verify", action="store_true",
         help="compare still frames with the float64 reference, some tiles at a time, meanwhile",
     )  # fmt: skip
+
+    cat = add("cat", "print a picture of each scene, among the terminal's text", CAT_EXAMPLES)
+    _add_scene(cat, many=True)
+    cat.add_argument("--columns", type=_cells, metavar="N", help="width in cells at most")
+    cat.add_argument("--rows", type=_cells, metavar="N", help="height in cells at most")
+    _add_presenter(cat)
+    _add_pose(cat)
+    _add_engine(cat)
+    _add_quality(cat)
+    _add_background(cat)
 
     render = add("render", "make a picture of a scene", RENDER_EXAMPLES)
     _add_scene(render)

@@ -10,6 +10,7 @@ principal point, near and far go linearly.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Callable
@@ -100,9 +101,8 @@ class Path:
     def _quats(self) -> F64:
         """[P, 4] world to camera, w x y z; neighbours on the same side of the sphere."""
         quats = np.array([quaternion(pose.rotation) for pose in self.poses])
-        for before, quat in zip(quats, quats[1:], strict=False):
-            quat *= -1.0 if before @ quat < 0 else 1.0
-        return quats
+        turns = np.where(np.einsum("ij,ij->i", quats[:-1], quats[1:]) < 0, -1.0, 1.0)
+        return np.asarray(quats * np.concatenate([[1.0], np.cumprod(turns)])[:, None], np.float64)
 
     @cached_property
     def _velocities(self) -> F64:
@@ -112,7 +112,7 @@ class Path:
     @cached_property
     def _spins(self) -> F64:
         """[P, 3] half radians per second at the poses, about the world's axes."""
-        pairs = zip(self._quats, self._quats[1:], strict=False)
+        pairs = itertools.pairwise(self._quats)
         return self._rates(np.array([_log(_product(_inverse(a), b)) for a, b in pairs]))
 
     def _rates(self, steps: F64) -> F64:
@@ -125,7 +125,7 @@ class Path:
             rates, spans = (np.concatenate([a[:1], a, a[-1:]]) for a in (rates, spans))
         before, after = spans[:-1, None], spans[1:, None]
         mixed: F64 = (after * rates[:-1] + before * rates[1:]) / (before + after)
-        still = np.array([a.same(b) for a, b in zip(self.poses, self.poses[1:], strict=False)])
+        still = np.array([a.same(b) for a, b in itertools.pairwise(self.poses)])
         mixed[:-1][still] = 0.0  # a pose given twice is a pause
         mixed[1:][still] = 0.0
         return mixed
@@ -168,7 +168,7 @@ def _times(poses: list[Camera]) -> F64:
     moved = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     quats = [quaternion(pose.rotation) for pose in poses]
     turned = np.array([
-        2 * math.acos(min(1.0, abs(float(a @ b)))) for a, b in zip(quats, quats[1:], strict=False)
+        2 * math.acos(min(1.0, abs(float(a @ b)))) for a, b in itertools.pairwise(quats)
     ])  # fmt: skip
     way = np.maximum(moved, turned / math.tau * (moved.sum() or 1.0))
     least = 1e-3 * way.sum() or 1.0  # only the lens changes, or the pose by next to nothing
@@ -184,10 +184,10 @@ def turned(camera: Camera, centre: ArrayLike, up: ArrayLike, angle: float) -> Ca
     """
     if not angle % math.tau:
         return camera
-    axis = np.asarray(up, np.float64) / np.linalg.norm(up)
-    turn = matrix(_exp(-angle / 2 * axis))
+    middle, axis = np.asarray(centre, np.float64), np.asarray(up, np.float64)
+    turn = matrix(_exp(-angle / 2 * axis / np.linalg.norm(axis)))
     rotation = camera.rotation @ turn.T
-    eye = centre + turn @ (camera.centre - centre)
+    eye = middle + turn @ (camera.centre - middle)
     viewmat = np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ eye
     return replace(camera, viewmat=viewmat)
@@ -220,7 +220,7 @@ def _bezier(
     """De Casteljau's algorithm with whichever way of going ``between`` two points."""
     row = list(points)
     while len(row) > 1:
-        row = [between(a, b, share) for a, b in zip(row, row[1:], strict=False)]
+        row = [between(a, b, share) for a, b in itertools.pairwise(row)]
     return row[0]
 
 

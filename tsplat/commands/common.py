@@ -6,8 +6,12 @@ import argparse
 import itertools
 import json
 import math
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from tsplat.core.camera import Camera, look_at
@@ -163,3 +167,17 @@ def dropped_text(scene: Scene) -> str:
     if not scene.dropped:
         return ""
     return "left out " + ", ".join(f"{n:,} ({reason})" for reason, n in scene.dropped.items())
+
+
+@contextmanager
+def unwinding() -> Iterator[None]:
+    """SIGTERM goes up like Ctrl-C, so that nothing half-written is left."""
+
+    def leave(signum: int, frame: FrameType | None) -> None:
+        raise SystemExit(128 + signum)
+
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

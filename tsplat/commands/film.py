@@ -6,18 +6,15 @@ import argparse
 import hashlib
 import json
 import math
-import signal
 import time
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from tsplat._version import __version__
-from tsplat.commands.common import calibrated, load, pose, print_json, say, sized
+from tsplat.commands.common import calibrated, load, pose, print_json, say, sized, unwinding
 from tsplat.commands.render import wanted
 from tsplat.core.camera import Camera
 from tsplat.core.errors import CameraError, ParamsError, printable
@@ -63,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     if is_sequence(output):
         film = replace(film, notes=_notes(arguments, scene, plan, way))
     seconds: list[float] = []
-    with _unwinding(), progress_bar(f"filming {output}") as progress:
+    with unwinding(), progress_bar(f"filming {output}") as progress:
         shoot = _shooting(plan, scene, way, seconds)
 
         def shot(index: int) -> Frame:
@@ -179,20 +176,6 @@ def _notes(
         return hashlib.sha256(text.encode()).hexdigest()
 
     return note
-
-
-@contextmanager
-def _unwinding() -> Iterator[None]:
-    """SIGTERM goes up like Ctrl-C, so that no half-written file is left."""
-
-    def leave(signum: int, frame: FrameType | None) -> None:
-        raise SystemExit(128 + signum)
-
-    before = signal.signal(signal.SIGTERM, leave)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 # --- what is told

@@ -22,7 +22,7 @@ import numpy as np
 from tsplat.core.errors import OutputError, PluginError, printable
 from tsplat.core.types import U8, Frame
 from tsplat.io.images import Background, check_place, to_pixels, write_bytes
-from tsplat.presenters.base import Presenter, Terminal
+from tsplat.presenters.base import Presenter, Terminal, encoded
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -186,7 +186,7 @@ def _beside(place: Path) -> Iterator[Path]:
 
 
 def _delays(film: Film, unit: int) -> list[int]:
-    """ms each frame is shown, in multiples of ``unit`` that add up."""
+    """How long each frame is shown, ms, in multiples of ``unit`` that add up."""
     ends = [round((i + 1) * 1000 / film.rate / unit) for i in range(film.count)]
     return [unit * (end - begin) for begin, end in zip([0, *ends], ends, strict=False)]
 
@@ -332,19 +332,6 @@ def _write_cast(place: Path, film: Film, glyphs: Glyphs) -> None:
             shown, before = frame, ""
         last = [round(film.count / film.rate, 6), "o", "\x1b[m\x1b[?25h"]
         stream.write(json.dumps(last) + "\n")
-
-
-def encoded(
-    presenter: Presenter, frame: Frame, terminal: Terminal, previous: Frame | None
-) -> bytes:
-    """``presenter.encode``, whose failure is a PluginError that names it."""
-    try:
-        return presenter.encode(frame, terminal, previous)
-    except Exception as error:
-        raise PluginError(
-            f"presenter {presenter.name!r} failed: {type(error).__name__}: {printable(error)}; "
-            "try another with --presenter"
-        ) from error
 
 
 # --- MP4

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from tsplat.core.errors import PluginError, printable
+
 if TYPE_CHECKING:  # tsplat.terminal needs Terminal, but not NumPy
     from tsplat.core.types import U8, Frame
 
@@ -62,6 +64,8 @@ class Presenter:
     pixel: Callable[[Terminal], tuple[float, float]] = _square  # screen px that one px covers
     clear: Callable[[Terminal], bytes] = _nothing  # takes the picture away again
     rank: int = -1  # "auto" takes the highest that is supported
+    # the bytes of a picture that later ones must not replace; None: those of encode
+    still: Callable[[Frame, Terminal], bytes] | None = None
 
 
 def no_pictures(terminal: Terminal) -> str | None:
@@ -87,3 +91,22 @@ def changed(image: U8, previous: Frame | None) -> bool:
         if (rows.to_uint8() != image[::step]).any():
             return True
     return False
+
+
+def encoded(
+    presenter: Presenter, frame: Frame, terminal: Terminal, previous: Frame | None = None
+) -> bytes:
+    """``presenter.encode``'s bytes; for a picture that stays, those of ``still`` where it has one.
+
+    Raises:
+        PluginError: the presenter failed.
+    """
+    try:
+        if previous is None and presenter.still is not None:
+            return presenter.still(frame, terminal)
+        return presenter.encode(frame, terminal, previous)
+    except Exception as error:
+        raise PluginError(
+            f"presenter {presenter.name!r} failed: {type(error).__name__}: {printable(error)}; "
+            "try another with --presenter"
+        ) from error
