@@ -40,6 +40,7 @@ examples:
   tsplat view scene.ply --max-splats 200000 --threads 4
   tsplat view scene.ply --quality fast
   tsplat view scene.ply --verify
+  tsplat view scene.ply --play path.json
 
 keys: W A S D pan, arrows or J K / H L turn, + - zoom, mouse drag turns, wheel zooms,
       O auto-orbit, U upside up, R reset, Tab status line, ? help, Q quit
@@ -281,6 +282,7 @@ def make_parser() -> argparse.ArgumentParser:
     _add_quality(view)
     _add_presenter(view)
     _add_background(view)
+    view.add_argument("--play", metavar="FILE", help="go along a path of cameras; any key stops it")
     view.add_argument(
         "--verify", action="store_true",
         help="compare still frames with the float64 reference, some tiles at a time, meanwhile",

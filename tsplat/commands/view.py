@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from tsplat.commands.common import calibrated, load, params, say
 from tsplat.core.camera import Camera
 from tsplat.core.errors import ParamsError, TerminalError
+from tsplat.paths import load_path
 from tsplat.plan import make_plan
 from tsplat.plugins import plugins
 from tsplat.terminal import Screen
@@ -46,6 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     registry = plugins()
     if arguments.presenter != "auto":
         registry.find("presenter", arguments.presenter)
+    path = load_path(arguments.play) if arguments.play else None
     background = arguments.background or (0.0, 0.0, 0.0)
     scene = load(arguments)
     verifier: Verifier | None = None
@@ -67,6 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
         screen = stack.enter_context(Screen())
         orbit = frame_orbit(scene, *screen.terminal.pixels, FOV)
         view = View(orbit, orbit, FOV)
+        if path is not None:
+            view = view.playing(path)
         Viewer(
             screen, scene, plan, view, registry.presenters, arguments.presenter, background,
             verifier,

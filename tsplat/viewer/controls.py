@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from tsplat.core.camera import Camera, Orbit
+from tsplat.paths import Path
 from tsplat.presenters.base import Terminal
 from tsplat.terminal import Event
-from tsplat.views import clip_planes
+from tsplat.views import FOV, clip_planes
 
 TURN = math.radians(4)  # per key press
 PAN = 0.04  # of the distance, per key press
@@ -17,6 +18,25 @@ ZOOM = 0.9  # of the distance, per key press or wheel click
 SPIN = math.radians(20)  # per second of auto-orbit
 DRAG = math.pi  # for a drag over the whole width
 DISTANCES = 1e-4, 1e4  # of the first distance
+
+
+def orbit_of(camera: Camera, home: Orbit) -> Orbit:
+    """The orbit about what ``camera`` has in its middle, as far away as ``home``'s target is.
+
+    Its up is ``home``'s: a camera that is tilted sideways stands upright there.
+    """
+    forward = camera.rotation[2]
+    distance = max(float((home.target - camera.centre) @ forward), DISTANCES[0] * home.distance)
+    flat = replace(home, yaw=0.0, pitch=0.0).camera(FOV, 2, 2).rotation  # right, down, forward
+    right, down, ahead = flat @ forward
+    return replace(
+        home,
+        target=camera.centre + distance * forward,
+        distance=distance,
+        yaw=math.atan2(right, ahead),
+        pitch=math.asin(min(max(down, -1.0), 1.0)),
+    )
+
 
 HELP = """\
 W A S D      move up, left, down, right
@@ -43,22 +63,53 @@ class View:
     help: bool = False
     quit: bool = False
     grip: tuple[int, int] | None = None  # cell where a drag was last seen
+    path: Path | None = None  # the camera is on it, not on the orbit; spinning, too, while it goes
+    played: float = 0.0  # s since the path's begin
 
     def camera(self, size: tuple[int, int], pixel: tuple[float, float]) -> Camera:
         """The camera for a picture of ``size`` px, each as wide and high on screen as ``pixel``."""
-        near, far = clip_planes(self.orbit.distance)
         width, height = (max(1, round(n * unit)) for n, unit in zip(size, pixel, strict=True))
+        if self.path is not None:
+            return self.path.camera(self.played).reframed(width, height).resized(*size)
+        near, far = clip_planes(self.orbit.distance)
         return self.orbit.camera(self.fov, width, height, near, far).resized(*size)
 
     def spun(self, seconds: float) -> View:
-        """The view after that long of auto-orbit."""
+        """The view after that long of auto-orbit, or farther along its path."""
+        if self.path is not None:
+            return self._farther(seconds) if self.spinning else self
         return self._turned(SPIN * seconds, 0.0) if self.spinning else self
+
+    def playing(self, path: Path) -> View:
+        """The view at the begin of ``path``, about to go along it."""
+        return replace(self, path=path, played=0.0, spinning=True)
+
+    def _farther(self, seconds: float) -> View:
+        """A path that ends where it began begins again; others are over at their end."""
+        assert self.path is not None
+        played = self.played + seconds
+        if self.path.closed:
+            return replace(self, played=played % self.path.seconds)
+        return replace(
+            self, played=min(played, self.path.seconds), spinning=played < self.path.seconds
+        )
+
+    def _stopped(self) -> View:
+        """Off the path: the orbit that looks from here at what is in the middle, upright."""
+        assert self.path is not None
+        camera = self.path.camera(self.played)
+        orbit = orbit_of(camera, self.home)
+        fov = 2 * math.degrees(math.atan(camera.height / 2 / camera.K[1, 1]))
+        return replace(self, path=None, spinning=False, orbit=orbit, fov=fov)
 
     def after(self, event: Event, terminal: Terminal) -> View:
         """The view after a key or mouse event; itself if the event means nothing."""
         if event.kind == "key":
             if self.help:
                 return replace(self, help=False)
+            if self.path is not None:
+                stopped = self._stopped()
+                return _quit(stopped) if KEYS.get(event.key.lower()) is _quit else stopped
             act = KEYS.get(event.key) or KEYS.get(event.key.lower())
             return act(self) if act else self
         if event.kind == "mouse":
@@ -66,6 +117,8 @@ class View:
         return self
 
     def _after_mouse(self, event: Event, terminal: Terminal) -> View:
+        if self.path is not None:
+            return self._stopped() if event.action in ("press", "wheel") else self
         if event.action == "wheel":
             steps = {"up": ZOOM, "down": 1 / ZOOM}
             return self._zoomed(steps[event.button]) if event.button in steps else self
