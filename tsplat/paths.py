@@ -4,8 +4,8 @@ Between two poses a cubic Bezier curve is followed, of positions and of rotation
 Casteljau's steps are straight for the ones and turn at a constant rate for the others (Shoemake,
 "Animating Rotation with Quaternion Curves", SIGGRAPH 1985, section 4). The velocity at a pose is
 the mean of those before and after it, weighted as the parabola through the three poses has it,
-which makes the positions' curve a Catmull-Rom spline with knots at any times. Field of view,
-principal point, near and far go linearly.
+which makes the positions' curve a Catmull-Rom spline with knots at any times; but it is bounded.
+Field of view, principal point, near and far go linearly.
 """
 
 from __future__ import annotations
@@ -30,6 +30,14 @@ LEG_SECONDS = 1.0
 
 TURN_SECONDS = 4.0
 """Of one turn round a scene."""
+
+STEEP = 3.0
+"""Times the slower of two legs' mean velocity that a camera may have between them.
+
+Without a bound a slow leg after a fast one overshoots; up to 3 a monotonous curve stays one
+(Fritsch and Carlson, "Monotone Piecewise Cubic Interpolation", SIAM J. Numer. Anal. 17, 1980). It
+makes a pose given twice a pause.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,10 +133,11 @@ class Path:
             rates, spans = (np.concatenate([a[:1], a, a[-1:]]) for a in (rates, spans))
         before, after = spans[:-1, None], spans[1:, None]
         mixed: F64 = (after * rates[:-1] + before * rates[1:]) / (before + after)
-        still = np.array([a.same(b) for a, b in itertools.pairwise(self.poses)])
-        mixed[:-1][still] = 0.0  # a pose given twice is a pause
-        mixed[1:][still] = 0.0
-        return mixed
+        lengths = np.linalg.norm(rates, axis=1)
+        most = STEEP * np.minimum(lengths[:-1], lengths[1:])[:, None]
+        length = np.linalg.norm(mixed, axis=1, keepdims=True)
+        bound = np.divide(most, length, out=np.ones_like(length), where=length > most)
+        return np.asarray(mixed * bound, np.float64)
 
 
 def load_path(file: str | os.PathLike[str]) -> Path:
@@ -229,8 +238,8 @@ def _straight(a: F64, b: F64, share: float) -> F64:
 
 
 def slerp(a: F64, b: F64, share: float) -> F64:
-    """From one unit quaternion to another, the short way round, at a constant rate."""
-    step = _log(_product(_inverse(a), b if a @ b >= 0 else -b))
+    """From one unit quaternion to another at a constant rate; the short way where ``a @ b > 0``."""
+    step = _log(_product(_inverse(a), b))
     quat = _product(a, _exp(share * step))
     return np.asarray(quat / np.linalg.norm(quat), np.float64)
 

@@ -32,8 +32,10 @@ GIF_RATE = 50.0
 """Frames a second at most: delays are whole hundredths, and browsers slow 0.01 s down to 0.1 s."""
 GIF_COLORS = 255
 """Of each frame; the 256th means unchanged."""
-WEBP = {"quality": 90, "method": 2}
+WEBP: dict[str, int | bool] = {"quality": 90, "method": 2}
 """Lossless, a film of the demo scene is six times as large."""
+WEBP_CLEAR: dict[str, int | bool] = {"lossless": True, "method": 2}
+"""With transparency: of a lossy film libwebp forgets that, if the last frame happens to be opaque."""
 NOTE = "tsplat"
 """Keyword of the PNG text that says of which film a file is a frame."""
 NUMBER = re.compile(r"%(0?)([0-9]?)d")
@@ -241,18 +243,21 @@ def _write_gif(place: Path, film: Film) -> None:
             image.putpalette(palette.astype(np.uint8).tobytes())
             yield image
 
-    _reel(frames(), film.count).save(
-        place, "GIF", save_all=True, duration=_delays(film, 10), loop=0, optimize=True
-    )
+    with place.open("wb") as stream:
+        _reel(frames(), film.count).save(
+            stream, "GIF", save_all=True, duration=_delays(film, 10), loop=0, optimize=True
+        )
 
 
 def _write_webp(place: Path, film: Film) -> None:
     from PIL import Image
 
     frames = (Image.fromarray(picture) for picture in _pictures(film))
-    _reel(frames, film.count).save(
-        place, "WEBP", save_all=True, duration=_delays(film, 1), loop=0, **WEBP
-    )
+    options = WEBP_CLEAR if film.background is None else WEBP
+    with place.open("wb") as stream:
+        _reel(frames, film.count).save(
+            stream, "WEBP", save_all=True, duration=_delays(film, 1), loop=0, **options
+        )
 
 
 # --- PNG sequence
