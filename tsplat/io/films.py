@@ -33,9 +33,9 @@ GIF_RATE = 50.0
 GIF_COLORS = 255
 """Of each frame; the 256th means unchanged."""
 WEBP: dict[str, int | bool] = {"quality": 90, "method": 2}
-"""Lossless, a film of the demo scene is six times as large."""
+"""A frame of 640x360 of the demo scene has 24 kB, lossless 125, and takes a tenth of the time."""
 WEBP_CLEAR: dict[str, int | bool] = {"lossless": True, "method": 2}
-"""With transparency: of a lossy film libwebp forgets that, if the last frame happens to be opaque."""
+"""With transparency, which libwebp forgets of a lossy film whose last frame is opaque."""
 NOTE = "tsplat"
 """Keyword of the PNG text that says of which film a file is a frame."""
 NUMBER = re.compile(r"%(0?)([0-9]?)d")

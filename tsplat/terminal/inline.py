@@ -10,11 +10,12 @@ import contextlib
 import os
 import re
 import signal
+import termios
 import time
 from collections.abc import Iterator, Mapping
 
 from tsplat.presenters.base import Terminal
-from tsplat.terminal.answers import parse_answers, split_answers
+from tsplat.terminal.answers import DA1_ANSWER, parse_answers, split_answers
 from tsplat.terminal.device import ask, can_show, raw_mode, window_size, write_all
 
 ASK_SECONDS = 1.0
@@ -52,6 +53,8 @@ def ask_here(
         write_all(fd_out, SAVE_CURSOR, seconds)
         try:
             data = ask(fd_in, fd_out, seconds)
+            if not DA1_ANSWER.search(data):  # what comes now is nobody's
+                termios.tcflush(fd_in, termios.TCIFLUSH)
         finally:
             write_all(fd_out, RESTORE_CURSOR + ERASE_BELOW, seconds)
     answers, typed = split_answers(data)
@@ -62,7 +65,7 @@ def ask_here(
 
 @contextlib.contextmanager
 def _signals_held() -> Iterator[None]:
-    """Those that would end or stop the process come when it is over."""
+    """Those that would end or stop the process come later. There must be one thread only."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
     try:
         yield
@@ -116,7 +119,7 @@ def text_lines(payload: bytes) -> list[bytes] | None:
             row, fresh = row + 1, True
         else:
             put(part.group())
-    return [line + PLAIN if b"\x1b" in line else line for line in lines]
+    return [line if line.endswith(PLAIN) or b"\x1b" not in line else line + PLAIN for line in lines]
 
 
 def _sgr(pen: Mapping[str, bytes]) -> bytes:
