@@ -100,7 +100,7 @@ def _drawn(
         data = b"".join(line + end for line in lines)
     else:
         rows = math.ceil(size[1] * pixel[1] / area.cell_height - 0.01)
-        if rows > terminal.rows - SPARE:
+        if terminal.tty and rows > terminal.rows - SPARE:
             raise TerminalError(
                 f"{rows} rows of {presenter.name} would scroll away while they are drawn; "
                 f"this terminal has room for --rows {max(terminal.rows - SPARE, 0)}, "
