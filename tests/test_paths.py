@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.conftest import straight
+from tests.conftest import ROOT, straight
 from tsplat.core.camera import Camera, Orbit, intrinsics, look_at
 from tsplat.core.errors import CameraError
 from tsplat.io.cameras import camera_to_json
@@ -304,3 +305,15 @@ def test_reframed_keeps_the_height_of_view():
     assert (other.width, other.height) == (200, 96)
     assert other.K.tolist() == [[100, 0, 100], [0, 100, 48], [0, 0, 1]]
     assert camera.reframed(64, 48).same(camera)
+
+
+def test_the_pages_path_is_one(tmp_path):
+    """The example of docs/films.md can be read, and is what the page says."""
+    (text,) = re.findall(r"```json\n(.*?)```", (ROOT / "docs" / "films.md").read_text(), re.S)
+    file = tmp_path / "path.json"
+    file.write_text(text)
+    path = load_path(file)
+    assert path.times.tolist() == [0, 2.5]
+    np.testing.assert_allclose(path.poses[0].centre, (0, 0, -5))
+    np.testing.assert_allclose(path.poses[1].centre, (3, -1, -4))
+    np.testing.assert_allclose(path.poses[1].rotation[2], (-0.6, 0, 0.8))

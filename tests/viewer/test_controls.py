@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tsplat.core.camera import Orbit
+from tsplat.core.camera import Orbit, look_at
+from tsplat.paths import Path
 from tsplat.presenters.base import Terminal
 from tsplat.terminal import Event
-from tsplat.viewer.controls import HELP, KEYS, View
+from tsplat.viewer.controls import HELP, KEYS, View, orbit_of
 from tsplat.viewer.text import fitted, help_page, status_line
 
 TERMINAL = Terminal(columns=100, rows=31)
@@ -154,3 +156,79 @@ def test_words_fit_the_screen():
     assert line.count(b"x") == 19
     assert b"\x1b[5;1H" in line
     assert help_page(Terminal(columns=20, rows=3)).count(b"H") >= 2
+
+
+# --- along a path
+
+EYES = (0, 0, -6), (2, -1, -5), (4, 1, -4)
+PATH = Path(
+    tuple(look_at(eye, (0, 0.5, 0), (0, -1, 0), 40, 64, 48) for eye in EYES),
+    np.array([0.0, 1.0, 3.0]),
+)
+
+
+def test_a_path_is_played_in_its_own_time():
+    """The camera is where the path is after so many seconds, and rests at its end."""
+    view = VIEW.playing(PATH)
+    for seconds in (0.25, 0.75, 1.0, 0.5):
+        view = view.spun(seconds)
+        np.testing.assert_array_equal(
+            view.camera((64, 48), (1.0, 1.0)).viewmat, PATH.camera(view.played).viewmat
+        )
+    assert view.played == 2.5
+    assert view.spinning
+    ended = view.spun(9.0)
+    assert ended.camera((64, 48), (1.0, 1.0)).same(PATH.poses[-1])
+    assert not ended.spinning
+    assert ended.spun(1.0) is ended
+
+
+def test_a_path_that_goes_round_goes_on():
+    """One that ends where it began never rests."""
+    ring = Path((*PATH.poses, PATH.poses[0]), np.array([0.0, 1, 3, 4]))
+    view = VIEW.playing(ring).spun(3.5).spun(1.0)
+    assert view.spinning
+    assert math.isclose(view.played, 0.5)
+
+
+def test_pixels_of_any_shape_show_the_path_upright():
+    """In half-blocks or at another size the height of view is the path's, and a ball is round."""
+    view = VIEW.playing(PATH)
+    camera = view.camera((100, 60), (10.0, 9.5))
+    assert (camera.width, camera.height) == (100, 60)
+    assert math.isclose(camera.K[0, 0] * 10, camera.K[1, 1] * 9.5)
+    assert math.isclose(camera.height / camera.K[1, 1], 48 / PATH.poses[0].K[1, 1])
+
+
+@pytest.mark.parametrize("key", ["x", "left", "o", "?", "q", "ctrl+c", "escape"])
+def test_any_key_stops_where_it_is(key):
+    """The same picture, from an orbit about what is in the middle; quitting keys quit as well."""
+    view = VIEW.playing(PATH).spun(1.5)
+    stopped = press(view, key)
+    assert stopped.path is None
+    assert not stopped.spinning
+    assert not stopped.help
+    assert stopped.quit == (key in ("q", "ctrl+c", "escape"))
+    for point in ((0, 0, 0), (1, 0.5, 0), (0, 2, 1)):
+        np.testing.assert_allclose(seen(stopped, point), seen(view, point), atol=1.5)  # it levels
+    assert abs(seen(VIEW, (1, 0.5, 0)) - seen(view, (1, 0.5, 0))).max() > 10
+    assert press(stopped, "r").orbit is HOME
+
+
+def test_a_click_or_the_wheel_stops_it_and_the_mouse_alone_does_not():
+    """What the hand does on purpose."""
+    view = VIEW.playing(PATH).spun(1.5)
+    assert mouse(view, "press").path is None
+    assert mouse(view, "wheel", "up").path is None
+    assert mouse(view, "move") is view
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(0.3, 0.2), (2.0, -0.7), (-3.0, 1.2), (1.0, 1.57)])
+def test_orbit_of_is_the_inverse_of_an_orbits_camera(yaw, pitch):
+    """An upright camera that looks at the target is on the orbit it was made by."""
+    home = replace(HOME, target=np.array([1.0, 2, 3]), up=np.array([0.1, -1, 0.2]))
+    orbit = replace(home, yaw=yaw, pitch=pitch)
+    camera = orbit.camera(50, 64, 48)
+    got = orbit_of(camera, home)
+    np.testing.assert_allclose(got.camera(50, 64, 48).viewmat, camera.viewmat, atol=1e-9)
+    assert math.isclose(got.distance, orbit.distance)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import select
 import signal
@@ -13,6 +14,8 @@ import time
 import pytest
 
 from tests.viewer.session import CELL, Session
+from tsplat.core.camera import look_at
+from tsplat.io.cameras import camera_to_json
 
 
 @pytest.fixture
@@ -33,6 +36,28 @@ def test_keys_move_the_camera_and_q_gives_the_terminal_back(session):
     assert b"demo" in session.output
     session.press(b"q")
     session.end(0)
+
+
+def test_a_path_is_played_until_a_key_is_pressed(tmp_path):
+    """Frames come by themselves; after a key they stop, and keys do what they always do."""
+    eyes = ((0, -1, -9), (3, -1, -8), (6, -2, -6), (0, -1, -9))
+    cameras = [look_at(eye, (0, 0, 0), (0, -1, 0), 50, 64, 48) for eye in eyes]
+    file = tmp_path / "path.json"
+    file.write_text(json.dumps([camera_to_json(camera) for camera in cameras]))
+    made = Session("--presenter", "halfblock", "--max-splats", "1000", "--play", str(file))
+    try:
+        made.pump(lambda: made.frames() >= 4)
+        made.press(b"x")
+        made.pump(lambda: not select.select([made.master], [], [], 0.3)[0])
+        before = made.frames()
+        time.sleep(0.3)
+        made.pump(lambda: True)
+        assert made.frames() == before
+        made.send(b"j")
+        made.press(b"q")
+        made.end(0)
+    finally:
+        made.close()
 
 
 def test_nothing_is_written_while_nothing_changes(session):
