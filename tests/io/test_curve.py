@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
 from tests.io.plywriter import raw_columns, write_ply
 from tests.io.test_ply_variants import as_stored, assert_scene
 from tsplat.core.curve import curve_order
-from tsplat.io import curve, load_scene, scene_from_arrays
+from tsplat.io import curve, load_scene, ply, scene_from_arrays
 from tsplat.io.base import sample_rows
 
 N = 500
@@ -18,9 +16,10 @@ N = 500
 
 @pytest.fixture
 def small(monkeypatch):
-    """A few hundred rows are many, and 60 a piece."""
+    """A few hundred rows are many, 20 a chunk and 60 a piece."""
     monkeypatch.setattr(curve, "ROWS_MIN", N // 10)
-    monkeypatch.setattr(curve, "PIECE", 60)
+    monkeypatch.setattr(ply, "CHUNK", 20)
+    monkeypatch.setattr(ply, "PIECE", 60)
 
 
 def in_file_order(scene):
@@ -98,15 +97,3 @@ def test_extreme_positions_give_some_order(means):
     """All in one place, or so far apart that float32 overflows: a permutation, and no warning."""
     order = curve_order(means.astype(np.float32))
     assert sorted(order.tolist()) == list(range(len(means)))
-
-
-@pytest.mark.parametrize("shape", [(N,), (N, 3), (N, 4, 3)])
-@pytest.mark.parametrize("dtype", [np.float16, np.float32])
-def test_taken_is_indexing(small, shape, dtype):
-    """Piece by piece, on threads, of any shape."""
-    array = np.random.default_rng(2).normal(size=shape).astype(dtype)
-    rows = np.random.default_rng(3).permutation(N).astype(np.int32)
-    with ThreadPoolExecutor(3) as pool:
-        got = curve.taken(array, rows, pool)
-    np.testing.assert_array_equal(got, array[rows])
-    assert got.dtype == dtype

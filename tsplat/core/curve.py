@@ -29,11 +29,17 @@ def _spread() -> NDArray[np.uint64]:
 
 
 def curve_order(means: F32) -> I32:
-    """Rows [N] of ``means`` [N, 3] along the curve; of those in one cell, the first comes first."""
+    """Rows [N] of ``means`` [N, 3] along the curve; of those in one cell, the first comes first.
+
+    Means that are not finite are somewhere on it.
+    """
     n = len(means)
     if not n:
         return np.empty(0, np.int32)
     sample = means[:: max(n // SAMPLE, 1)].astype(np.float64)
+    sample = sample[np.isfinite(sample).all(1)]
+    if not len(sample):
+        return np.arange(n, dtype=np.int32)
     low, high = np.quantile(sample, [0.01, 0.99], axis=0)  # strays would leave the bulk few cells
     scale = (CELLS - 1) / np.where(high > low, high - low, np.inf)
     tables = [_spread() << np.uint64(32 + axis) for axis in range(3)]
