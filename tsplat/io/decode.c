@@ -29,20 +29,22 @@ INLINE float number(const uint8_t *row, int32_t offset) {
     return value;
 }
 
+typedef union {
+    float value[MOST];
+    int32_t bits[MOST];
+} numbers;
+
 /* To nearest, ties to even; what is beyond the largest half becomes infinite. See half.py. */
-INLINE void round_all(const float *values, uint16_t *halves) {
-    int32_t bits[MOST], sizes[MOST], steps[MOST];
-    float small[MOST];
-    memcpy(bits, values, sizeof bits);
-    for (int i = 0; i < MOST; i++) sizes[i] = bits[i] & 0x7fffffff;
-    memcpy(small, sizes, sizeof small);
-    for (int i = 0; i < MOST; i++) small[i] += 0.5f; /* whose last bit is the least half */
-    memcpy(steps, small, sizeof steps);
+INLINE void round_all(const numbers *in, uint16_t *halves) {
+    numbers small;
+    for (int i = 0; i < MOST; i++) /* 0.5's last bit is the least half */
+        small.value[i] = fabsf(in->value[i]) + 0.5f;
     for (int i = 0; i < MOST; i++) {
-        int32_t large = (sizes[i] - 0x38000000 + 0xfff + (sizes[i] >> 13 & 1)) >> 13;
+        int32_t size = in->bits[i] & 0x7fffffff;
+        int32_t large = (size - 0x38000000 + 0xfff + (size >> 13 & 1)) >> 13;
         large = large > 0x7c00 ? 0x7c00 : large;
-        int32_t half = sizes[i] < 0x38800000 ? steps[i] - 0x3f000000 : large;
-        halves[i] = (uint16_t)(half | (bits[i] >> 16 & 0x8000));
+        int32_t half = size < 0x38800000 ? small.bits[i] - 0x3f000000 : large;
+        halves[i] = (uint16_t)(half | (in->bits[i] >> 16 & 0x8000));
     }
 }
 
@@ -69,19 +71,20 @@ INLINE float quick_error(const float *values, const float *peaks, float steps) {
         sums[i] = fabsf(values[i]) * peaks[i] + fabsf(values[24 + i]) * peaks[24 + i];
     for (int i = 0; i < 12; i++) sums[i] += sums[12 + i];
     for (int i = 0; i < 6; i++) sums[i] += sums[6 + i];
-    float most = 0;
-    for (int i = 0; i < 3; i++) most = fmaxf(most, sums[i] + sums[3 + i]);
-    return most * RELATIVE + steps;
+    float red = sums[0] + sums[3], green = sums[1] + sums[4], blue = sums[2] + sums[5];
+    float most = red > green ? red : green;
+    return (most > blue ? most : blue) * RELATIVE + steps;
 }
 
 INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error) {
     const int32_t *offsets = in->offsets;
-    int numbers = 3 * in->coefficients;
-    size_t bytes = (size_t)numbers * (out->half ? 2 : 4);
-    float values[MOST] = {0}, peaks[MOST] = {0}, steps = 0;
+    int count = 3 * in->coefficients;
+    size_t bytes = (size_t)count * (out->half ? 2 : 4);
+    float peaks[MOST] = {0}, steps = 0;
+    numbers sh = {{0}};
     uint16_t halves[MOST];
-    for (int i = 0; i < numbers; i++) peaks[i] = out->peaks[i];
-    for (int i = 0; i < numbers; i += 3) steps += peaks[i];
+    for (int i = 0; i < count; i++) peaks[i] = out->peaks[i];
+    for (int i = 0; i < count; i += 3) steps += peaks[i];
     steps *= LEAST_STEP;
     for (int64_t i = 0; i < in->count; i++) {
         const uint8_t *row = in->rows + i * in->stride;
@@ -89,14 +92,16 @@ INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error
         if (at < 0 || at >= out->capacity) return TSPLAT_BAD_ROWS;
         if (out->places && i + AHEAD < in->count) {
             int64_t next = out->places[i + AHEAD];
-            char *sh = (char *)out->sh + next * (int64_t)bytes;
-            for (size_t line = 0; line < bytes; line += 64) FETCH(sh + line);
-            FETCH(sh + bytes - 1);
+            char *there = (char *)out->sh + next * (int64_t)bytes;
+            for (size_t line = 0; line < bytes; line += 64) FETCH(there + line);
+            FETCH(there + bytes - 1);
             FETCH(out->means + 3 * next);
             FETCH(out->quats + 4 * next);
             FETCH(out->scales + 3 * next);
             FETCH(out->opacities + next);
         }
+        /* first, and looked at last: a vector of what was just stored one by one has to wait */
+        for (int k = 0; k < count; k++) sh.value[k] = number(row, offsets[TSPLAT_SHAPE + k]);
 
         float mean[3], scale[3], quat[4];
         double wide[4], sum = 0;
@@ -117,11 +122,9 @@ INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error
         double opacity = 1 / (1 + exp(-(double)number(row, offsets[10])));
         sound &= opacity >= 0;
 
-        uint32_t patterns[MOST], largest = 0;
-        for (int k = 0; k < numbers; k++) values[k] = number(row, offsets[TSPLAT_SHAPE + k]);
-        memcpy(patterns, values, sizeof patterns);
+        int32_t largest = 0;
         for (int k = 0; k < MOST; k++) {
-            uint32_t size = patterns[k] & 0x7fffffff;
+            int32_t size = sh.bits[k] & 0x7fffffff;
             largest = size > largest ? size : largest;
         }
         if (!sound || largest >= 0x7f800000) return TSPLAT_UNSOUND;
@@ -130,15 +133,15 @@ INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error
         memcpy(out->quats + 4 * at, quat, sizeof quat);
         memcpy(out->scales + 3 * at, scale, sizeof scale);
         out->opacities[at] = (float)opacity;
-        char *sh = (char *)out->sh + at * (int64_t)bytes;
+        char *there = (char *)out->sh + at * (int64_t)bytes;
         if (!out->half) {
-            memcpy(sh, values, bytes);
+            memcpy(there, sh.value, bytes);
             continue;
         }
-        round_all(values, halves);
-        memcpy(sh, halves, bytes);
-        double bound = quick_error(values, peaks, steps);
-        if (!(bound < out->close)) bound = exact_error(values, halves, peaks);
+        round_all(&sh, halves);
+        memcpy(there, halves, bytes);
+        double bound = quick_error(sh.value, peaks, steps);
+        if (!(bound < out->close)) bound = exact_error(sh.value, halves, peaks);
         if (bound > *error) *error = bound;
     }
     return 0;
