@@ -1,7 +1,8 @@
-"""Builds what is optional in C, the kernel and the decoder of files; everything else is in pyproject.toml.
+"""Builds what is in C and optional, the kernel and the decoder; all else is in pyproject.toml.
 
 Without a working compiler the install still succeeds: the compiler's complaint is kept in
-``build_error.txt`` beside what was not built; the backend quotes it when asked why it is unavailable.
+``build_error.txt`` beside what was not built; the backend quotes its own when asked why it is
+unavailable.
 """
 
 from __future__ import annotations

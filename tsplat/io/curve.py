@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tsplat.core.curve import curve_order
-from tsplat.core.types import Floats, I32
+from tsplat.core.types import I32, Floats
 
 ROWS_MIN = 1 << 14
 """Scenes of fewer rows stay as they are: caches hold them."""

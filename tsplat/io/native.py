@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tsplat.core.errors import KernelError
 from tsplat.core.types import F16, F32, I32
 from tsplat.io.half import SH_ERROR_MAX, SH_PEAKS
 
@@ -80,7 +81,7 @@ class Decoder:
         error = ffi.new("double *")
         status = lib.tsplat_decode(source, target, error)
         if status == lib.TSPLAT_BAD_ROWS:
-            raise AssertionError("a place or an offset is out of range")
+            raise KernelError("decode: a count, a place or an offset is out of range")
         return None if status else float(error[0])
 
 
