@@ -61,6 +61,13 @@ def decode(side, seed):
             assert len(lent) == count + (4 if to is places else 3), "arrays passed by the guard"
             assert [a.tobytes() for a in lent[:count]] == usual
 
+    means, grid = rng.normal(size=(rng.integers(1, 99), 3)).astype(np.float32), np.ones(3, "f4")
+    native.pointer = pointer
+    usual = native.curve_keys(means, -grid, grid)
+    native.pointer, lent[:] = guard, []
+    native.curve_keys(means, -grid, grid)
+    assert lent[-1].tolist() == usual.tolist()
+
 
 def overrun():
     """Lends fewer rows than it says."""

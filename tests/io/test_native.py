@@ -23,6 +23,7 @@ from tests.backends.test_guard_pages import FAULTS
 from tests.conftest import ROOT
 from tests.io.plywriter import BIG, LITTLE, REST, TEXT, names_inria, raw_columns, write_ply
 from tests.io.test_half import between_halves
+from tsplat.core.curve import curve_keys
 from tsplat.core.errors import KernelError, SceneError
 from tsplat.io import curve, load_scene, native, ply
 from tsplat.io.half import SH_ERROR_MAX
@@ -271,6 +272,22 @@ def test_files_load_the_same_without_a_compiler(
     assert (got.numbers is None) == (expected.numbers is None)
     if got.numbers is not None:
         np.testing.assert_array_equal(got.numbers, expected.numbers)
+
+
+@given(
+    patterns=st.lists(st.integers(0, 2**32 - 1), min_size=3, max_size=300),
+    limits=st.lists(st.floats(-(2.0**100), 2.0**100, width=32), min_size=6, max_size=6),
+)
+@example(patterns=[0x7F800000, 0xFF800000, 0x7FC00000], limits=[0.0] * 6)
+@example(
+    patterns=np.linspace(0, 9, 999, dtype="f4").view("u4").tolist(), limits=[0, 1, 2] + [99] * 3
+)
+def test_the_keys_are_numpys(patterns, limits):
+    """Positions of any bit pattern, on any grid."""
+    means = np.array(patterns[: len(patterns) // 3 * 3], np.uint32).view(np.float32).reshape(-1, 3)
+    low, scale = np.array(limits, np.float32).reshape(2, 3)
+    expected = curve_keys(means, low, scale)
+    np.testing.assert_array_equal(native.curve_keys(means, low, scale), expected)
 
 
 def child(*args):

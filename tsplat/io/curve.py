@@ -6,6 +6,7 @@ import numpy as np
 
 from tsplat.core.curve import curve_order
 from tsplat.core.types import I32, Floats
+from tsplat.io import native
 
 ROWS_MIN = 1 << 14
 """Scenes of fewer rows stay as they are: caches hold them."""
@@ -18,7 +19,7 @@ def rows_along_curve(means: Floats) -> I32:
         with np.errstate(over="ignore", invalid="ignore"):
             means = means - np.where(np.isfinite(middle), middle, 0)
     with np.errstate(over="ignore"):
-        return curve_order(means.astype(np.float32, copy=False))
+        return curve_order(np.ascontiguousarray(means, np.float32), native.curve_keys)
 
 
 def inverse(rows: I32) -> I32:

@@ -169,3 +169,25 @@ int tsplat_decode(const tsplat_rows *in, const tsplat_arrays *out, double *error
 #endif
     return decode_plain(in, out, error);
 }
+
+/* Ten bits, two zeros after each. */
+static inline uint32_t spread(uint32_t cell) {
+    cell = (cell | cell << 16) & 0x030000ff;
+    cell = (cell | cell << 8) & 0x0300f00f;
+    cell = (cell | cell << 4) & 0x030c30c3;
+    return (cell | cell << 2) & 0x09249249;
+}
+
+void tsplat_curve_keys(const float *means, int64_t count, const float *low, const float *scale,
+                       uint64_t *keys) {
+    for (int64_t i = 0; i < count; i++) {
+        uint32_t code = 0;
+        for (int k = 0; k < 3; k++) {
+            float cell = (means[3 * i + k] - low[k]) * scale[k];
+            cell = cell > 0 ? cell : 0; /* not a number: 0 too */
+            cell = cell < 1023 ? cell : 1023;
+            code |= spread((uint32_t)cell) << k;
+        }
+        keys[i] = (uint64_t)code << 32 | (uint64_t)i;
+    }
+}

@@ -36,4 +36,8 @@ typedef struct {
 /* Decodes all rows. Returns 0, TSPLAT_UNSOUND or TSPLAT_BAD_ROWS; *error is a bound of what half does
  * to a colour. */
 int tsplat_decode(const tsplat_rows *rows, const tsplat_arrays *arrays, double *error);
+
+/* Where means [N, 3] are along the curve: curve_keys of core/curve.py. low, scale [3]; keys [N]. */
+void tsplat_curve_keys(const float *means, int64_t count, const float *low, const float *scale,
+                       uint64_t *keys);
 #endif

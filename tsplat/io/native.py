@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tsplat.core import curve
 from tsplat.core.errors import KernelError
 from tsplat.core.types import F16, F32, I32
 from tsplat.io.half import SH_ERROR_MAX, SH_PEAKS
@@ -83,6 +84,18 @@ class Decoder:
         if status == lib.TSPLAT_BAD_ROWS:
             raise KernelError("decode: a count, a place or an offset is out of range")
         return None if status else float(error[0])
+
+
+def curve_keys(means: F32, low: F32, scale: F32) -> NDArray[np.uint64]:
+    """What :func:`tsplat.core.curve.curve_keys` makes, by C where that was built."""
+    if lib is None:
+        return curve.curve_keys(means, low, scale)
+    keys = np.empty(len(means), np.uint64)
+    lib.tsplat_curve_keys(
+        pointer(means, "float"), len(means), pointer(low, "float"), pointer(scale, "float"),
+        pointer(keys, "uint64_t"),
+    )  # fmt: skip
+    return keys
 
 
 def decoder(dtype: np.dtype[np.void], names: tuple[str, ...]) -> Decoder | None:
