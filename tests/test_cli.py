@@ -408,3 +408,16 @@ def test_a_closed_pipe_is_no_error_message(ply):
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT) as p:
         p.stdout.close()
         assert p.stderr.read() == b""
+
+
+def test_garbage_is_collected_while_a_command_runs():
+    """It is left alone only while modules are imported, and at exit."""
+    code = (
+        "import gc, sys, tsplat.cli, tsplat.commands.plugins as command;"
+        "command.run = lambda arguments: print(gc.isenabled()) or 0;"
+        "sys.argv = ['tsplat', 'plugins']; tsplat.cli.main()"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert result.stdout == "True\n"
