@@ -108,9 +108,9 @@ class SceneBuilder:
                 keep = _judge(means, lengths, scales, opacities, sh, limit, dropped)
                 rows = np.arange(to.start, to.stop) if isinstance(to, slice) else to
                 to, gaps = rows[keep], [rows[~keep]]
-        self._means[to] = means[keep]
-        self._quats[to] = units[keep]
-        self._scales[to] = scales[keep]
+        _put(self._means, to, means[keep])
+        _put(self._quats, to, units[keep])
+        _put(self._scales, to, scales[keep])
         self._opacities[to] = np.clip(opacities[keep], 0, 1)
         error = self._put_sh(to, sh[keep])
         with self._lock:
@@ -139,11 +139,11 @@ class SceneBuilder:
     def _put_sh(self, to: slice | NDArray[np.integer], sh: F32) -> float:
         """The colour error that keeping ``sh`` costs."""
         if not self._half:
-            self._sh[to] = sh
+            _put(self._sh, to, sh)
             return 0.0
         halves = np.empty(sh.shape, np.float16)
         error = to_half(np.ascontiguousarray(sh), halves)
-        self._sh[to] = halves
+        _put(self._sh, to, halves)
         return error
 
     def _close_gaps(self, numbers: I32 | None) -> I32 | None:
@@ -194,6 +194,18 @@ class SceneBuilder:
             sh_error=self.sh_error,
             numbers=numbers,
         )
+
+
+def _put(
+    array: NDArray[np.floating], to: slice | NDArray[np.integer], rows: NDArray[np.floating]
+) -> None:
+    """``array[to] = rows``, of whole rows as single items: NumPy puts those twice as fast."""
+    if isinstance(to, slice) or not len(to):
+        array[to] = rows
+        return
+    item = np.dtype((np.void, array[0].nbytes))
+    rows = np.ascontiguousarray(rows, array.dtype)
+    array.reshape(len(array), -1).view(item)[to, 0] = rows.reshape(len(to), -1).view(item)[:, 0]
 
 
 def _place(dropped: tuple[str, int]) -> int:

@@ -1,7 +1,7 @@
 """Rows -> a scene's arrays by C, where that was built and can read such rows.
 
-It does in one pass what ``ply.py``, ``clean.py`` and ``half.py`` do with NumPy, to the same bits, in
-a quarter of the time; and leaves to them whatever is unusual.
+It does in one pass what ``ply.py``, ``clean.py`` and ``half.py`` do with NumPy, to the same bits,
+in a quarter of the time; and leaves to them whatever is unusual.
 """
 
 from __future__ import annotations
