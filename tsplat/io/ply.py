@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -257,26 +258,34 @@ class Sweeps:
         """
         rows, total = self._rows, len(self._rows)
         more = True
+        workers = min(default_threads(), THREADS)
+        # Made here: what a thread of a pool allocates for itself stays the process's, by and large.
+        rooms: SimpleQueue[NDArray[np.void]] = SimpleQueue()
+        for _ in range(workers):
+            rooms.put(np.empty(min(CHUNK, total), rows.dtype))
 
         def piece(first: int) -> int:
             """Works on PIECE rows; returns where the rows behind them go."""
             nonlocal more
             end = min(first + PIECE, total)
-            room = np.empty(min(CHUNK, end - first), rows.dtype)
-            for start in range(first, end, CHUNK):
-                if not more:
-                    break
-                stop = min(start + CHUNK, end)
-                part = slice(self._place(start), self._place(stop))
-                chunk = rows.read(start, stop, room)
-                if self._picked is not None:
-                    chunk = chunk[self._picked[part] - start]
-                if not work(part, chunk):
-                    more = False
+            room = rooms.get()
+            try:
+                for start in range(first, end, CHUNK):
+                    if not more:
+                        break
+                    stop = min(start + CHUNK, end)
+                    part = slice(self._place(start), self._place(stop))
+                    chunk = rows.read(start, stop, room)
+                    if self._picked is not None:
+                        chunk = chunk[self._picked[part] - start]
+                    if not work(part, chunk):
+                        more = False
+            finally:
+                rooms.put(room)
             return self._place(end)
 
         self._progress(before, goal)
-        with ThreadPoolExecutor(min(default_threads(), THREADS), "tsplat-ply") as pool:
+        with ThreadPoolExecutor(workers, "tsplat-ply") as pool:
             for done in pool.map(piece, range(0, total, PIECE)):
                 self._progress(before + done, goal)
 
