@@ -62,10 +62,10 @@ class Presenter:
     size: Callable[[Terminal], tuple[int, int]]  # px (width, height) worth rendering
     unsupported: Callable[[Terminal], str | None]  # None, or why this terminal cannot show it
     pixel: Callable[[Terminal], tuple[float, float]] = _square  # screen px that one px covers
-    clear: Callable[[Terminal], bytes] = _nothing  # takes the picture away again
-    rank: int = -1  # "auto" takes the highest that is supported
     # the bytes of a picture that later ones must not replace; None: those of encode
     still: Callable[[Frame, Terminal], bytes] | None = None
+    clear: Callable[[Terminal], bytes] = _nothing  # takes the picture away again
+    rank: int = -1  # "auto" takes the highest that is supported
 
 
 def no_pictures(terminal: Terminal) -> str | None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import zlib
 from binascii import b2a_base64
 
-from tsplat.core.types import U8, Frame
+from tsplat.core.types import Frame
 from tsplat.hookspecs import hookimpl
 from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures
 
@@ -31,25 +31,25 @@ def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     image = frame.to_uint8()
     if not changed(image, previous):
         return b""
-    return _displayed(image, b"i=%d,p=%d," % (IMAGE_ID, PLACEMENT_ID))
-
-
-def still(frame: Frame, terminal: Terminal) -> bytes:
-    """The frame without an id: nothing that comes later can replace or delete it."""
-    return _displayed(frame.to_uint8(), b"")
-
-
-def _displayed(image: U8, identity: bytes) -> bytes:
-    """Transmits [H, W, 3] and displays it where the cursor is."""
     data = b2a_base64(zlib.compress(image.data, ZLIB_LEVEL), newline=False)
-    height, width = image.shape[:2]
-    keys = b"a=T,f=24,o=z,s=%d,v=%d,%sC=1,q=2," % (width, height, identity)
+    keys = b"a=T,f=24,o=z,s=%d,v=%d,i=%d,p=%d,C=1,q=2," % (
+        frame.width,
+        frame.height,
+        IMAGE_ID,
+        PLACEMENT_ID,
+    )
     parts: list[bytes] = []
     for start in range(0, len(data), CHUNK):
         more = start + CHUNK < len(data)
         parts += APC, keys, b"m=%d;" % more, data[start : start + CHUNK], ST
         keys = b""
     return b"".join(parts)
+
+
+def still(frame: Frame, terminal: Terminal) -> bytes:
+    """The frame without an id: nothing that comes later can replace or delete it."""
+    identity = b"i=%d,p=%d," % (IMAGE_ID, PLACEMENT_ID)
+    return encode(frame, terminal, None).replace(identity, b"", 1)
 
 
 def clear(terminal: Terminal) -> bytes:
@@ -70,9 +70,9 @@ KITTY = Presenter(
     encode=encode,
     size=lambda terminal: terminal.pixels,
     unsupported=unsupported,
+    still=still,
     clear=clear,
     rank=40,
-    still=still,
 )
 
 
