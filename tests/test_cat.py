@@ -16,7 +16,7 @@ from tests.conftest import ROOT
 from tests.terminal.fakes import FakeTerminal
 from tests.test_cli import camera_file, ply, scene, tsplat  # noqa: F401 - fixtures
 from tsplat.presenters.base import Terminal
-from tsplat.testing.decoders import Cells, iterm2, kitty, sixel
+from tsplat.testing.decoders import halfblock, iterm2, kitty, sixel
 
 PLAIN = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR")}
 KITTY_OK = b"\x1b_Gi=31;OK\x1b\\"
@@ -28,9 +28,7 @@ def pixels(lines):
     assert len(set(columns)) == 1
     picture = np.zeros((2 * len(lines), columns[0], 3), np.uint8)
     for i, line in enumerate(lines):
-        screen = Cells(columns[0], 1)
-        screen.feed(line)
-        picture[2 * i : 2 * i + 2] = screen.halves
+        picture[2 * i : 2 * i + 2] = halfblock(line, Terminal(columns[0], 2))
     return picture
 
 
@@ -71,7 +69,7 @@ def test_a_pipe_has_80_by_24_cells_at_most(ply, camera_file):  # noqa: F811
 def test_a_pipe_is_asked_nothing(ply):  # noqa: F811
     """SGR, characters and line feeds; no colour with NO_COLOR; no picture unless by name."""
     out = tsplat("cat", ply, env=PLAIN).stdout
-    assert not re.sub(rb"\x1b\[[0-9;]*m|[\xe2\x96\x80 \n]", b"", out)
+    assert not re.sub(r"\x1b\[[0-9;]*m|[▀▄█ \n]", "", out.decode())
     assert b"38;2;" in out
     assert b"\x1b" not in tsplat("cat", ply, env={**PLAIN, "NO_COLOR": "1"}).stdout
     assert tsplat("cat", ply, "--presenter", "sixel", env=PLAIN).stdout.count(b"\x1bP") == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -19,7 +20,7 @@ from tsplat.io.films import Film, Glyphs, check_film, frame_file, write_film
 from tsplat.presenters.base import Terminal
 from tsplat.presenters.halfblock import HALFBLOCK
 from tsplat.presenters.sixel import SIXEL
-from tsplat.testing.decoders import Cells
+from tsplat.testing.decoders import halfblock
 
 COUNT, WIDTH, HEIGHT = 5, 41, 30
 PICTURES = [np.roll(photo(WIDTH, HEIGHT, noise=1.0), 3 * n, axis=1) for n in range(COUNT)]
@@ -186,16 +187,11 @@ def test_a_sequence_goes_on_where_it_stopped(tmp_path):
 # --- asciinema
 
 
-def play(lines, columns, rows):
-    """The screen after each event of a recording, as half cells; a small terminal, strictly."""
-    screen = Cells(columns, rows)
-    screens = []
-    for _, kind, data in lines:
-        assert kind == "o"
-        assert data.isprintable() is False  # escapes, at least
-        screen.feed(data.encode())
-        screens.append(screen.halves.copy())
-    return screens
+def play(events, columns, rows):
+    """The screen after each event of a recording, as half cells."""
+    assert {kind for _, kind, _ in events} == {"o"}
+    sent = list(itertools.accumulate(data.encode() for _, _, data in events))
+    return [halfblock(data, Terminal(columns, rows + 1)) for data in sent]
 
 
 def test_a_recording_plays_to_the_same_pictures(tmp_path):

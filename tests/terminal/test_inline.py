@@ -18,7 +18,7 @@ from tsplat.presenters.kitty import KITTY
 from tsplat.presenters.sixel import SIXEL
 from tsplat.terminal.answers import QUESTIONS
 from tsplat.terminal.inline import SPARE_ROWS, ask_here, placed, show, text_lines
-from tsplat.testing.decoders import Cells, halfblock, kitty, kitty_commands
+from tsplat.testing.decoders import halfblock, kitty, kitty_commands
 
 ENVIRON = {"TERM": "xterm"}
 PICTURE = photo(37, 22)
@@ -111,13 +111,11 @@ def test_a_line_alone_is_its_row(colors):
     for i, line in enumerate(text_lines(payload)):
         assert line.endswith(b"\x1b[m")
         assert b"\x1b[m" not in line[:-3]
-        screen = Cells(terminal.columns, 1)
-        screen.feed(line)
-        np.testing.assert_array_equal(screen.halves, whole[2 * i : 2 * i + 2])
-    parts = re.split(rb"\x1b\[[0-9;]*H", payload)
-    screen = Cells(terminal.columns, 1)
-    screen.feed(parts[3])  # the presenter's own third row, cut out, is another one
-    assert (screen.halves != whole[6:8]).any()
+        alone = halfblock(line, Terminal(terminal.columns, 2))
+        np.testing.assert_array_equal(alone, whole[2 * i : 2 * i + 2])
+    parts = re.split(rb"\x1b\[[0-9;]*H|\r\n", payload)
+    cut = halfblock(parts[3], Terminal(terminal.columns, 2))
+    assert (cut != whole[6:8]).any()  # the presenter's own third row is another one
 
 
 def test_line_feeds_gaps_and_attributes():
