@@ -313,13 +313,13 @@ def make_parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     _add_pose(render)
     film = render.add_argument_group(
-        "films", "to .gif .webp .mp4 (needs ffmpeg) .cast (asciinema), out-%%04d.png or a folder"
+        "films", "to .gif .webp .mp4 (needs ffmpeg) .cast (asciinema), out-%04d.png or a folder"
     )
     film.add_argument(
         "--path", metavar="FILE|orbit", help="cameras to go through, or once round the scene"
     )
     film.add_argument(
-        "--frames", type=_count, metavar="N", help="(as many as the path's seconds take; orbit: 4)"
+        "--frames", type=_count, metavar="N", help="how many (those of the path's seconds, or 4 s)"
     )
     film.add_argument("--fps", type=_positive, metavar="R", help="frames a second (25)")
     film.add_argument(
