@@ -13,7 +13,8 @@ import numpy as np
 
 from tsplat.core.types import Frame
 from tsplat.presenters.base import Terminal
-from tsplat.presenters.halfblock import HALFBLOCK, RESET
+from tsplat.presenters.cells import RESET
+from tsplat.presenters.halfblock import HALFBLOCK
 from tsplat.presenters.iterm2 import ITERM2
 from tsplat.presenters.kitty import KITTY
 from tsplat.presenters.sixel import SIXEL
