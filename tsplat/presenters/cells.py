@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,19 +48,27 @@ Tokens = NDArray[np.uint32]  # up to four bytes each, the first in the lowest by
 
 @dataclass(frozen=True, eq=False)
 class Spots:
-    """N cells of a picture."""
+    """N cells of a picture; the cells are the last axis, along which NumPy is quick."""
 
-    pixels: U8  # [N, h, w, 3]
+    pixels: U8  # [3, h, w, N]
     rows: Index  # [N]
     columns: Index  # [N]
 
     def thresholds(self, height: int, width: int) -> U8:
-        """Bayer's, [N, height, width], for so many dots a cell; they stand still on the screen."""
+        """Bayer's, [height, width, N], for so many dots a cell; they stand still on the screen."""
         size = len(THRESHOLDS)
-        y = (self.rows[:, None] * height + np.arange(height)) % size
-        x = (self.columns[:, None] * width + np.arange(width)) % size
-        dots: U8 = THRESHOLDS[y[:, :, None], x[:, None, :]]
+        dots: U8 = _dots(height, width).take(self.rows % size * size + self.columns % size, 2)
         return dots
+
+
+@cache
+def _dots(height: int, width: int) -> U8:
+    """Thresholds of a cell [height, width, 64], by its row and column; they repeat every 8."""
+    size = len(THRESHOLDS)
+    y = (np.arange(height)[:, None] + np.arange(size) * height) % size  # [height, row]
+    x = (np.arange(width)[:, None] + np.arange(size) * width) % size
+    dots: U8 = THRESHOLDS[y[:, None, :, None], x[None, :, None, :]].reshape(height, width, -1)
+    return dots
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,10 +116,11 @@ def mixer(colors: int) -> Mixer:
     return Mixer(palette(colors))
 
 
-def packed(rgb: NDArray[np.integer]) -> Numbers:
-    """[..., 3], 0..255, as 24-bit numbers."""
-    r, g, b = (rgb[..., c].astype(np.int32) for c in range(3))
-    return r << 16 | g << 8 | b
+def packed(rgb: NDArray[Any]) -> Numbers:
+    """[3, ...], 0..255, as 24-bit numbers."""
+    r, g, b = (plane.astype(np.int32) for plane in rgb)
+    numbers: Numbers = r << 16 | g << 8 | b
+    return numbers
 
 
 def numbered(rows: NDArray[np.integer], colors: int) -> Numbers:
@@ -119,7 +129,7 @@ def numbered(rows: NDArray[np.integer], colors: int) -> Numbers:
 
 
 def room(terminal: Terminal, wide: int, high: int) -> tuple[int, int]:
-    """px (width, height) of all rows but the last, with ``wide`` x ``high`` px a cell."""
+    """Px (width, height) of all rows but the last, with ``wide`` x ``high`` px a cell."""
     return (
         wide * min(max(1, terminal.columns), LIMIT),
         high * min(max(1, terminal.rows - 1), LIMIT),
@@ -162,8 +172,32 @@ def _whole(frame: Frame, terminal: Terminal, wide: int, high: int) -> U8:
 
 
 def _spots(image: U8, row: Index, column: Index, wide: int, high: int) -> Spots:
-    cells = image.reshape(len(image) // high, high, image.shape[1] // wide, wide, 3)
-    return Spots(cells.swapaxes(1, 2)[row, column], row, column)
+    rows, columns = len(image) // high, image.shape[1] // wide
+    cells = image.reshape(rows, high, columns, wide, 3).transpose(4, 1, 3, 0, 2)
+    pixels = cells.reshape(3, high, wide, -1)
+    if len(row) < pixels.shape[3]:
+        pixels = pixels.take(row * columns + column, 3)
+    return Spots(pixels, row, column)
+
+
+def lit(spots: Spots, glyphs: Tokens, share: F32, colors: int) -> Drawn:
+    """``glyphs`` [N] on black in the cell's mean colour; their ink fills ``share`` [N] of it.
+
+    The less ink there is, the brighter, as far as colours go.
+    """
+    count = len(glyphs)
+    if colors == PLAIN:
+        nothing = np.zeros(count, np.int32)
+        return Drawn(glyphs, nothing, nothing)
+    means = spots.pixels.reshape(3, -1, count).mean(1, dtype=np.float32)
+    bright = np.where(share > 0, np.rint(means / np.where(share > 0, share, 1)), 0).clip(0, 255)
+    if colors >= TRUECOLOR:
+        inks, black = packed(bright), np.zeros(count, np.int32)
+    else:
+        inks = numbered(mixer(colors).mix(bright, spots.thresholds(1, 1)[0, 0]), colors)
+        black = np.full(count, numbered(np.array(0), colors), np.int32)
+    inks = np.where(glyphs == SPACE, black, inks)
+    return Drawn(np.where(inks == black, np.uint32(SPACE), glyphs), inks, black)
 
 
 # --- bytes
@@ -198,9 +232,7 @@ def _moves(row: Index, column: Index) -> Tokens:
     moves[skips & (gap == 1), 1] = token("C")
     moves[jumps, 0] = token(CSI)
     moves[jumps, 1] = _numbers("%d", row[jumps] + 1)
-    moves[jumps, 2] = np.where(
-        column[jumps] > 0, _numbers(";%d", column[jumps] + 1), np.uint32(0)
-    )
+    moves[jumps, 2] = np.where(column[jumps] > 0, _numbers(";%d", column[jumps] + 1), np.uint32(0))
     return np.concatenate([moves, np.where(jumps, token("H"), 0).astype(np.uint32)[:, None]], 1)
 
 
@@ -238,7 +270,8 @@ def _before(flags: NDArray[np.bool_]) -> Index:
 def _sets(numbers: Numbers, needed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which cells need a colour that is not the one set last."""
     last = _before(needed)
-    return needed & ((last < 0) | (numbers != numbers[last]))
+    sets: NDArray[np.bool_] = needed & ((last < 0) | (numbers != numbers[last]))
+    return sets
 
 
 def _color(numbers: Numbers, colors: int, layer: int) -> Tokens:

@@ -2,10 +2,10 @@
 
 Ordered dithering: each pixel takes one of two palette colours, by a threshold that depends on its
 place alone. So the pattern stands still under a moving picture, where error diffusion swims, and
-the work is done per distinct colour (15 bits) instead of per pixel. :func:`dither` is for a palette of
-the picture's own; :class:`Mixer` for a fixed one, and looks at nothing but the pixel. A 640x360 photo-like frame in
-256 colours, against the original as it is and blurred (sigma 1.5 px, as eyes do it): 33.0 and
-41.8 dB; without dithering 34.5 and 39.4 dB.
+the work is done per distinct colour (15 bits) instead of per pixel. :func:`dither` is for a
+palette of the picture's own; :class:`Mixer` for a fixed one, and looks at nothing but the pixel. A
+640x360 photo-like frame in 256 colours, against the original as it is and blurred (sigma 1.5 px, as
+eyes do it): 33.0 and 41.8 dB; without dithering 34.5 and 39.4 dB.
 """
 
 from __future__ import annotations
@@ -157,9 +157,9 @@ class Mixer:
         self._planes = np.zeros((4, bins), np.float32)  # how many of 64 take the second: see level
 
     def bins(self, colors: NDArray[Any]) -> NDArray[np.intp]:
-        """Which pair of colours each of ``colors`` [..., 3], 0..255, is mixed from."""
+        """Which pair of colours each of ``colors`` [3, ...], 0..255, is mixed from."""
         width = 8 - FINE_BITS
-        r, g, b = (colors[..., c].astype(np.uint8).astype(np.intp) >> width for c in range(3))
+        r, g, b = (plane.astype(np.uint8).astype(np.intp) >> width for plane in colors)
         bins: NDArray[np.intp] = r << 2 * FINE_BITS | g << FINE_BITS | b
         known = self._known[bins]
         if not known.all():
@@ -171,18 +171,18 @@ class Mixer:
         return self._pairs[0][bins], self._pairs[1][bins]
 
     def level(self, bins: NDArray[np.intp], colors: NDArray[Any]) -> F32:
-        """Of 64 places, how many should take the second colour for ``colors`` [..., 3]; rounded.
+        """Of 64 places, how many should take the second colour for ``colors`` [3, ...]; rounded.
 
-        May be below 0 and above 64. ``bins`` and ``colors`` are broadcast.
+        May be below 0 and above 64. ``bins`` and the planes of ``colors`` are broadcast.
         """
         level = self._planes[3][bins]
         for c in range(3):
-            level = level + self._planes[c][bins] * colors[..., c]
+            level = level + self._planes[c][bins] * colors[c]
         rounded: F32 = np.rint(level)
         return rounded
 
     def mix(self, colors: NDArray[Any], thresholds: NDArray[Any]) -> U8:
-        """Rows of the palette for ``colors`` [..., 3] at places with ``thresholds`` [...]."""
+        """Rows of the palette for ``colors`` [3, ...] at places with ``thresholds`` [...]."""
         bins = self.bins(colors)
         first, second = self.pair(bins)
         mixed: U8 = np.where(thresholds < self.level(bins, colors), second, first)

@@ -37,13 +37,13 @@ def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
 
 def draw(spots: Spots, colors: int) -> Drawn:
     """Cells of one by two px. Fewer colours than 24 bits are dithered, each px at its place."""
-    halves = spots.pixels[:, :, 0]
+    halves = spots.pixels[:, :, 0]  # [3, 2, N]
     if colors >= TRUECOLOR:
         numbers = packed(halves)
     else:
-        rows = mixer(colors).mix(halves, spots.thresholds(2, 1)[:, :, 0])
+        rows = mixer(colors).mix(halves, spots.thresholds(2, 1)[:, 0])
         numbers = numbered(rows, colors)
-    upper, lower = numbers[:, 0], numbers[:, 1]
+    upper, lower = numbers
     if colors == PLAIN:
         return Drawn(GLYPHS[2 * upper + lower], upper, lower)
     # The same two colours are the same ink and paper, whichever is above: fewer SGR

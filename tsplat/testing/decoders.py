@@ -375,7 +375,12 @@ def xterm_rgb(number: int) -> Rgb:
 
 # Bits: the squares of a cell from left to right and from the top down, first the lowest
 _QUARTERS = {name: 1 << n for n, name in enumerate(("UL", "UR", "LL", "LR"))}
-_HALVES = {"LEFT HALF": "UL LL", "RIGHT HALF": "UR LR", "UPPER HALF": "UL UR", "LOWER HALF": "LL LR"}
+_HALVES = {
+    "LEFT HALF": "UL LL",
+    "RIGHT HALF": "UR LR",
+    "UPPER HALF": "UL UR",
+    "LOWER HALF": "LL LR",
+}
 _EIGHTHS = {"ONE EIGHTH": 1, "ONE QUARTER": 2, "THREE EIGHTHS": 3, "HALF": 4, "FIVE EIGHTHS": 5,
             "THREE QUARTERS": 6, "SEVEN EIGHTHS": 7}  # fmt: skip
 # Block octants that have a character of their own elsewhere, but for those of quadrants: Unicode
@@ -425,7 +430,9 @@ def block_coverage(high: int) -> dict[str, Coverage]:
     if high == 8:
         for character in map(chr, range(0x2581, 0x2588)):  # LOWER THREE EIGHTHS BLOCK
             name = unicodedata.name(character).removeprefix("LOWER ").removesuffix(" BLOCK")
-            found[character] = (np.arange(8) >= 8 - _EIGHTHS[name])[:, None].repeat(2, 1) * np.float32(1)
+            found[character] = (np.arange(8) >= 8 - _EIGHTHS[name])[:, None].repeat(
+                2, 1
+            ) * np.float32(1)
     if high == 4:
         found |= {character: squares(bits, 4) for character, bits in _OTHER_OCTANTS.items()}
         taken = {c.tobytes() for c in found.values()}
@@ -446,6 +453,14 @@ def braille_coverage() -> dict[str, Coverage]:
             coverage[place] = number >> bit & 1
         found[chr(0x2800 + number)] = coverage
     return found
+
+
+@cache
+def letter_coverage() -> dict[str, Coverage]:
+    """Printable ASCII, [4, 2]; measured, see :mod:`tsplat.presenters.letters`."""
+    from tsplat.presenters.letters import FIRST, ink
+
+    return {chr(FIRST + n): row.reshape(4, 2) for n, row in enumerate(ink())}
 
 
 class Cells:
@@ -549,3 +564,19 @@ def _shown(data: bytes, terminal: Terminal, coverage: dict[str, Coverage] | None
 def halfblock(data: bytes, terminal: Terminal) -> U8:
     """Half cells as pixels; the picture is the rectangle of cells that were printed."""
     return _shown(data, terminal, None)
+
+
+def blocks(data: bytes, terminal: Terminal) -> U8:
+    """Halves, quadrants and eighths, sextants or octants as ``terminal.glyphs`` says, as pixels."""
+    high = {"halves": 2, "quadrants": 8, "sextants": 3, "octants": 4}[terminal.glyphs]
+    return _shown(data, terminal, block_coverage(high) if high > 2 else None)
+
+
+def braille(data: bytes, terminal: Terminal) -> U8:
+    """Dots as pixels, whole squares; what fonts draw is smaller and rounder."""
+    return _shown(data, terminal, braille_coverage())
+
+
+def letters(data: bytes, terminal: Terminal) -> U8:
+    """Printable ASCII as DejaVu Sans Mono has it, in eighths of a cell, the densest as full."""
+    return _shown(data, terminal, letter_coverage())

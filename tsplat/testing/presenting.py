@@ -79,6 +79,19 @@ def _halfblock_bound(terminal: Terminal) -> Bound:
     return EXACT if terminal.colors == TRUECOLOR else Bound(4, 0, 17.0 * (terminal.colors == 256))
 
 
+def _blocks_bound(terminal: Terminal) -> Bound:
+    """Two colours a cell: octants and sextants show any two, the others any one."""
+    if terminal.colors == TRUECOLOR:
+        any_two = terminal.glyphs in ("octants", "sextants")
+        return EXACT if terminal.glyphs == "halves" else Bound(1 + any_two, 0, 20.0)
+    return Bound(1, 0, 14.0 * (terminal.colors == 256))
+
+
+def _dots_bound(terminal: Terminal) -> Bound:
+    """Black between dots and letters; their mean is right where colours can make it so."""
+    return Bound(0, 0, 6.0 * (terminal.colors > 16))
+
+
 def _sixel_bound(terminal: Terminal) -> Bound:
     """Percent: 2.55 levels a step, and two roundings. Smooth pictures need more registers."""
     return Bound(4, 2, 34.0 if terminal.sixel_registers >= 256 else 24.0)
@@ -93,7 +106,10 @@ DECODINGS = {
     "kitty": Decoding(decoders.kitty),
     "iterm2": Decoding(decoders.iterm2, _jpeg_bound),
     "sixel": Decoding(decoders.sixel, _sixel_bound),
+    "blocks": Decoding(decoders.blocks, _blocks_bound),
     "halfblock": Decoding(decoders.halfblock, _halfblock_bound),
+    "braille": Decoding(decoders.braille, _dots_bound),
+    "letters": Decoding(decoders.letters, _dots_bound),
 }
 """The built-in presenters' protocols."""
 
@@ -112,6 +128,8 @@ def terminals(draw: st.DrawFn) -> Terminal:
         sixel=True,
         sixel_registers=draw(st.sampled_from((16, 256, 1024))),
         sixel_max=draw(st.sampled_from(((0, 0), (60, 40)))),
+        glyphs=draw(st.sampled_from(("halves", "quadrants", "sextants", "octants"))),
+        draws_blocks=True,
         synchronized=True,
         name=draw(st.sampled_from(("", "Konsole 26.08.2", "kitty(0.48.2)"))),
     )
