@@ -122,13 +122,15 @@ def _dithered(spots: Spots, chars: Mosaic, colors: int) -> Drawn:
     high, wide, count = spots.pixels.shape[1:]
     squares = spots.pixels.reshape(3, chars.grid, high // chars.grid, wide, count)
     dots = squares.mean(2, dtype=np.float32).reshape(3, -1, count)
-    bins = palette.bins(spots.pixels.reshape(3, -1, count).mean(1, dtype=np.float32))
-    second = spots.thresholds(chars.grid, wide).reshape(-1, count) < palette.level(bins, dots)
-    patterns = np.packbits(second, axis=0, bitorder="little")[0]
-    papers, inks = palette.pair(bins)
+    places = spots.thresholds(chars.grid, wide).reshape(-1, count)
     if colors == PLAIN:
+        patterns = np.packbits(palette.mix(dots, places), axis=0, bitorder="little")[0]
         nothing = np.zeros(count, np.int32)
         return Drawn(chars.dots[patterns], nothing, nothing)
+    bins = palette.bins(spots.pixels.reshape(3, -1, count).mean(1, dtype=np.float32))
+    second = places < palette.level(bins, dots)
+    patterns = np.packbits(second, axis=0, bitorder="little")[0]
+    papers, inks = palette.pair(bins)
     inks = np.where(patterns == 0, papers, inks)
     papers = np.where(patterns == len(chars.dots) - 1, inks, papers)
     glyphs = np.where(inks == papers, np.uint32(SPACE), chars.dots[patterns])

@@ -2,7 +2,8 @@
 
 A character is eight numbers, the ink in each eighth of the cell; the cell's light is eight numbers
 too. The best character has the least squared difference, where the difference of their sums counts
-once more, as that is what is seen from afar. With colours the ink has the cell's mean colour.
+once more, as that is what is seen from afar. With colours more ink is used than that, as with
+:mod:`braille <tsplat.presenters.braille>`, and is as much darker.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from tsplat.core.types import F32, Frame
 from tsplat.hookspecs import hookimpl
 from tsplat.presenters.base import Presenter, Terminal
-from tsplat.presenters.cells import Drawn, Spots, lit, room, show, tokens
+from tsplat.presenters.cells import PLAIN, Drawn, Spots, lit, room, show, tokens
 from tsplat.presenters.halfblock import unsupported
 
 WIDE, HIGH = 2, 4  # px of a cell
@@ -70,7 +71,8 @@ def draw(spots: Spots, colors: int) -> Drawn:
     shares = ink()
     full = shares.mean(1).max()
     count = spots.pixels.shape[3]
-    light = spots.pixels.max(0).reshape(-1, count) * np.float32(full / 255)
+    light = spots.pixels.max(0).reshape(-1, count) / np.float32(255)
+    light = (light if colors == PLAIN else np.sqrt(light)) * full
     factors, terms = _scores()
     best = (light.T @ factors.T - terms).argmax(1)
     return lit(spots, GLYPHS[best], shares.mean(1)[best] / full, colors)
