@@ -81,14 +81,21 @@ def _halfblock_bound(terminal: Terminal) -> Bound:
 
 def _blocks_bound(terminal: Terminal) -> Bound:
     """Two colours a cell: octants and sextants show any two, the others any one."""
+    any_two = terminal.glyphs in ("octants", "sextants")
+    if terminal.colors == 2:
+        return Bound(1 + any_two, 0, 0)
     if terminal.colors == TRUECOLOR:
-        any_two = terminal.glyphs in ("octants", "sextants")
         return EXACT if terminal.glyphs == "halves" else Bound(1 + any_two, 0, 20.0)
     return Bound(1, 0, 14.0 * (terminal.colors == 256))
 
 
-def _dots_bound(terminal: Terminal) -> Bound:
-    """Black between dots and letters; their mean is right where colours can make it so."""
+def _braille_bound(terminal: Terminal) -> Bound:
+    """Black and white are exact; of colours the mean is right, with black between the dots."""
+    return Bound(2, 0, 0) if terminal.colors == 2 else Bound(0, 0, 9.0 * (terminal.colors > 16))
+
+
+def _letters_bound(terminal: Terminal) -> Bound:
+    """As braille, and darker: no letter is all ink."""
     return Bound(0, 0, 6.0 * (terminal.colors > 16))
 
 
@@ -108,8 +115,8 @@ DECODINGS = {
     "sixel": Decoding(decoders.sixel, _sixel_bound),
     "blocks": Decoding(decoders.blocks, _blocks_bound),
     "halfblock": Decoding(decoders.halfblock, _halfblock_bound),
-    "braille": Decoding(decoders.braille, _dots_bound),
-    "letters": Decoding(decoders.letters, _dots_bound),
+    "braille": Decoding(decoders.braille, _braille_bound),
+    "letters": Decoding(decoders.letters, _letters_bound),
 }
 """The built-in presenters' protocols."""
 
@@ -135,7 +142,7 @@ def terminals(draw: st.DrawFn) -> Terminal:
     )
 
 
-KINDS = ("flat", "tones", "smooth", "noise")
+KINDS = ("flat", "pair", "tones", "smooth", "noise")
 
 # Levels that the colours of a terminal are made of, so that each of them is one of its own
 _LEVELS = {
@@ -149,7 +156,8 @@ _LEVELS = {
 def make_pixels(seed: int, kind: str, width: int, height: int, colors: int) -> U8:
     """An [H, W, 3] picture of one of :data:`KINDS`.
 
-    Flat and of a few tones: colours that a terminal with ``colors`` has. Noise makes long streams.
+    Of one, two or a few tones: colours that a terminal with ``colors`` has. Noise makes long
+    streams.
     """
     rng = np.random.default_rng(seed)
     if kind == "noise":
@@ -162,7 +170,7 @@ def make_pixels(seed: int, kind: str, width: int, height: int, colors: int) -> U
         ]
         return np.rint(127.5 + 120 * np.stack(rgb, -1)).astype(np.uint8)
     levels = np.array(_LEVELS[colors], np.uint8)
-    table = rng.choice(levels, (1 if kind == "flat" else 4, 3))
+    table = rng.choice(levels, ({"flat": 1, "pair": 2}.get(kind, 4), 3))
     if colors == 2:
         table[:] = table[:, :1]
     if colors == 16:
@@ -418,7 +426,7 @@ def _judge(check: str, decoding: Decoding, case: Showing, shown: Decoded) -> Ver
     error = abs(picture.astype(np.int16) - wanted)
     colors = len(np.unique(wanted.reshape(-1, 3), axis=0))
     faults = []
-    few = case.kind in ("flat", "tones") and colors <= bound.colors
+    few = case.kind in ("flat", "pair", "tones") and colors <= bound.colors
     if (few or bound.colors == math.inf) and error.max() > bound.worst:
         y, x, _ = np.unravel_index(error.argmax(), error.shape)
         faults.append(
