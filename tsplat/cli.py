@@ -241,7 +241,8 @@ def make_parser() -> argparse.ArgumentParser:
     _add_quality(view)
     view.add_argument(
         "--presenter", default="auto", metavar="P",
-        help="kitty, iterm2, sixel, halfblock, another of `tsplat plugins`, or auto (default)",
+        help="kitty, iterm2, sixel, blocks, halfblock, braille, letters, another of `tsplat "
+        "plugins`, or auto (default)",
     )  # fmt: skip
     view.add_argument(
         "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each"
@@ -315,7 +316,7 @@ def make_parser() -> argparse.ArgumentParser:
     kit.add_argument("--presenter", metavar="P", help="every check of this presenter")
     kit.add_argument(
         "--decode", metavar="D",
-        help="what reads the presenter's bytes: kitty, iterm2, sixel, halfblock or MODULE:NAME "
+        help="what reads the presenter's bytes: a built-in presenter's name or MODULE:NAME "
         "(a built-in presenter's own)",
     )  # fmt: skip
     kit.add_argument(

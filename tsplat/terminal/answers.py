@@ -76,20 +76,13 @@ _TRUECOLOR_NAMES = (
 )  # fmt: skip
 
 
-# Begin of the name, first version: the finest set of characters it draws itself, best first.
-# All of them draw sextants too, but quadrants with eighths show a picture as well (see mosaic.py)
+# Begin of the name, first version of those that draw block characters themselves. They draw
+# sextants too, and kitty 0.48, foot 1.28 and Ghostty 1.2 octants; but quadrants with eighths show a
+# picture as well as octants (mosaic.py), and look better, as they are made of more px.
 _DRAWS = (
-    ("kitty", (0, 48), "octants"),
-    ("foot", (1, 28), "octants"),
-    ("ghostty", (1, 2), "octants"),
-    ("kitty", (0, 26), "quadrants"),
-    ("foot", (1, 13), "quadrants"),
-    ("ghostty", (1, 0), "quadrants"),
-    ("konsole", (22, 12), "quadrants"),
-    ("wezterm", (20210314,), "quadrants"),
-    ("vte", (), "quadrants"),
-    ("alacritty", (), "quadrants"),
-)
+    ("kitty", (0, 26)), ("foot", (1, 13)), ("ghostty", (1,)), ("konsole", (22, 12)),
+    ("wezterm", (20210314,)), ("vte", ()), ("alacritty", ()),
+)  # fmt: skip
 GLYPHS = "TSPLAT_GLYPHS"
 GLYPH_SETS = ("halves", "quadrants", "sextants", "octants")
 
@@ -223,12 +216,9 @@ def _glyphs(name: str, mux: str, environ: Mapping[str, str]) -> tuple[str, bool]
         )
     if wanted:
         return wanted, wanted != "halves"
-    if not mux:  # its name is not the terminal's
-        version = tuple(int(n) for n in re.findall(r"\d{1,9}", name)[:2])
-        for start, first, glyphs in _DRAWS:
-            if name.lower().startswith(start) and version >= first:
-                return glyphs, True
-    return "quadrants", False
+    version = tuple(int(n) for n in re.findall(r"\d{1,9}", name)[:2])
+    draws = any(name.lower().startswith(start) and version >= first for start, first in _DRAWS)
+    return "quadrants", draws and not mux  # a multiplexer's name says nothing of the terminal
 
 
 def _has_iterm2(answers: bytes, said: str, environ: Mapping[str, str]) -> bool:
