@@ -251,7 +251,8 @@ def _add_pose(parser: argparse.ArgumentParser) -> None:
 def _add_presenter(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--presenter", default="auto", metavar="P",
-        help="kitty, iterm2, sixel, halfblock, another of `tsplat plugins`, or auto (default)",
+        help="kitty, iterm2, sixel, blocks, halfblock, braille, letters, another of `tsplat "
+        "plugins`, or auto (default)",
     )  # fmt: skip
 
 
@@ -379,7 +380,7 @@ def make_parser() -> argparse.ArgumentParser:
     kit.add_argument("--presenter", metavar="P", help="every check of this presenter")
     kit.add_argument(
         "--decode", metavar="D",
-        help="what reads the presenter's bytes: kitty, iterm2, sixel, halfblock or MODULE:NAME "
+        help="what reads the presenter's bytes: a built-in presenter's name or MODULE:NAME "
         "(a built-in presenter's own)",
     )  # fmt: skip
     kit.add_argument(

@@ -32,7 +32,10 @@ BUILT_IN = (
     "tsplat.presenters.kitty",
     "tsplat.presenters.iterm2",
     "tsplat.presenters.sixel",
+    "tsplat.presenters.blocks",
     "tsplat.presenters.halfblock",
+    "tsplat.presenters.braille",
+    "tsplat.presenters.letters",
     "tsplat.io.ply",
 )
 ENVIRONMENT = "TSPLAT_PLUGINS"

@@ -12,8 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from tsplat.core.types import Frame
+from tsplat.presenters import blocks
 from tsplat.presenters.base import Terminal
-from tsplat.presenters.halfblock import HALFBLOCK, RESET
+from tsplat.presenters.blocks import BLOCKS
+from tsplat.presenters.braille import BRAILLE
+from tsplat.presenters.cells import RESET
+from tsplat.presenters.halfblock import HALFBLOCK
 from tsplat.presenters.iterm2 import ITERM2
 from tsplat.presenters.kitty import KITTY
 from tsplat.presenters.sixel import SIXEL
@@ -158,6 +162,21 @@ def whole_screen(frame, terminal, previous):
     return HALFBLOCK.encode(frame, replace(terminal, rows=terminal.rows + 1), previous)
 
 
+def other_glyphs(frame, terminal, previous):
+    """Quadrants where the terminal draws octants."""
+    other = {"octants": "quadrants"}.get(terminal.glyphs, terminal.glyphs)
+    return blocks.encode(frame, replace(terminal, glyphs=other), previous)
+
+
+def octants_in_order(data):
+    """As if all 256 octants were in one row of code points."""
+
+    def moved(match):
+        return chr(ord(match[0]) + 1)
+
+    return re.sub("[\U0001cd00-\U0001cde4]", moved, data.decode()).encode()
+
+
 SHOWN = {"picture", "changes"}
 UNREADABLE = {"stream", "shape", "picture", "changes"}
 WRONG = {
@@ -217,6 +236,13 @@ WRONG = {
     "caches by memory": (replace(KITTY, encode=Caching()), {"pure"}),
     "clips in place": (replace(KITTY, encode=clips_in_place), {"pure"}),
     "changes of upper halves only": (replace(HALFBLOCK, encode=upper_halves_only), {"changes"}),
+    "blocks, red and blue swapped": (rgb(BLOCKS, lambda v: v[..., ::-1]), {"picture"}),
+    "blocks mirrored": (rgb(BLOCKS, lambda v: v[:, ::-1]), {"picture"}),
+    "blocks truncate": (rgb(BLOCKS, truncated), {"rounding", "picture"}),
+    "blocks of a wrong set": (replace(BLOCKS, encode=other_glyphs), UNREADABLE - {"changes"}),
+    "octants in order": (bytewise(BLOCKS, octants_in_order), {"picture"}),
+    "braille upside down": (rgb(BRAILLE, lambda v: v[::-1]), {"picture"}),
+    "braille inverted": (rgb(BRAILLE, lambda v: 1 - v), {"picture"}),
     "sends no changes": (replace(KITTY, encode=nothing_after_the_first), {"changes"}),
 }  # fmt: skip
 """Name -> the presenter, and the checks that must catch it, and no other."""

@@ -6,7 +6,7 @@ import pytest
 from tsplat.core.errors import ContractError
 from tsplat.plugins import plugins
 from tsplat.presenters.base import Terminal
-from tsplat.presenters.halfblock import palette
+from tsplat.presenters.cells import palette
 from tsplat.testing import decoders
 from tsplat.testing.presenting import DECODINGS, presenter_checks
 from tsplat.testing.stream import area_faults, tokens

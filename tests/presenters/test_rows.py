@@ -6,10 +6,11 @@ import sys
 import pytest
 from pictures import frame_of, photo
 
-from tsplat.presenters import halfblock, iterm2, kitty, sixel
+from tsplat.presenters import blocks, braille, halfblock, iterm2, kitty, letters, sixel
 from tsplat.presenters.base import Terminal
 
-ROWS = [row for module in (kitty, iterm2, sixel, halfblock) for row in module.tsplat_presenters()]
+MODULES = kitty, iterm2, sixel, blocks, halfblock, braille, letters
+ROWS = [row for module in MODULES for row in module.tsplat_presenters()]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
@@ -20,9 +21,10 @@ def test_size_fits_above_the_last_row(row, shape):
     width, height = row.size(terminal)
     assert width >= 1
     assert height >= 1
-    if shape == (80, 24) and row.name != "halfblock":
-        assert width <= 800
-        assert height <= 23 * 20
+    if shape == (80, 24):
+        across, down = row.pixel(terminal)
+        assert width * across <= 800
+        assert height * down <= 23 * 20
     assert row.encode(frame_of(photo(width, height)), terminal, None)
 
 
@@ -43,6 +45,7 @@ def test_imports_are_cheap():
     code = (
         "import sys, tsplat.terminal; assert 'numpy' not in sys.modules;"
         "import tsplat.presenters.kitty, tsplat.presenters.iterm2, tsplat.presenters.sixel,"
-        "tsplat.presenters.halfblock; assert not {'PIL', 'numba'} & set(sys.modules)"
+        "tsplat.presenters.blocks, tsplat.presenters.braille, tsplat.presenters.letters;"
+        "assert not {'PIL', 'numba'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

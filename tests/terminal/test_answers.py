@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
 from tsplat.terminal.answers import (
     QUESTIONS,
@@ -81,14 +82,18 @@ TMUX = {"TERM": "tmux-256color", "TERM_PROGRAM": "tmux", "TMUX": "/tmp/tmux,1,0"
 # name: answers, environment, TIOCGWINSZ, and what to make of them
 RECORDED = {
     "kitty 0.26": (KITTY26, {"TERM": "xterm-kitty", **COLOR}, WINSIZE, Terminal(
-        90, 30, 10, 19, kitty=True, synchronized=True, name="kitty(0.26.5)")),
+        90, 30, 10, 19, kitty=True, synchronized=True, draws_blocks=True,
+        name="kitty(0.26.5)")),
     "kitty 0.48": (KITTY48, {"TERM": "xterm-kitty"}, WINSIZE, Terminal(
-        90, 30, 10, 19, kitty=True, synchronized=True, name="kitty(0.48.2)")),
+        90, 30, 10, 19, kitty=True, synchronized=True, draws_blocks=True,
+        name="kitty(0.48.2)")),
     "konsole 22": (KONSOLE22, XTERM256, WINSIZE, Terminal(
         90, 30, 10, 19, kitty=True, iterm2=True, sixel=True, sixel_max=(16384, 16384),
+        draws_blocks=True,
         name="Konsole 22.12.3")),
     "konsole 26": (KONSOLE26, XTERM256, (30, 90, 904, 570), Terminal(
         90, 30, 10, 19, kitty=True, iterm2=True, sixel=True, sixel_max=(16384, 16384),
+        draws_blocks=True,
         name="Konsole 26.08.2")),
     "xterm": (XTERM_PLAIN, XTERM, WINSIZE, Terminal(90, 30, 10, 19, name="XTerm(379)")),
     "xterm vt340": (XTERM_VT340, XTERM, WINSIZE, Terminal(
@@ -102,7 +107,8 @@ RECORDED = {
                  name="mlterm(3.9.4)")),
     "foot 1.13": (FOOT13, {"TERM": "foot"}, (30, 90, 900, 600), Terminal(
         90, 30, 10, 20, sixel=True, sixel_registers=1024, sixel_max=(10000, 10000),
-        synchronized=True, name="foot(1.13.1)")),
+        synchronized=True, draws_blocks=True,
+        name="foot(1.13.1)")),
     "xterm.js 6.0": (XTERM_JS, XTERM256, (30, 90, 867, 570), Terminal(
         90, 30, 867 / 90, 19, sixel=True, sixel_max=(4096, 4096), synchronized=True)),
     "xterm.js 6.0, no pixels": (XTERM_JS, XTERM256, (30, 90, 0, 0), Terminal(
@@ -236,3 +242,44 @@ def test_noise_is_harmless(noise):
     assert terminal.cell_width > 0
     assert terminal.columns > 0
     assert len(answers) + len(typed) == len(noise)
+
+
+@pytest.mark.parametrize(
+    ("name", "environ", "facts"),
+    [
+        (b"kitty(0.48.2)", {}, ("quadrants", True)),
+        (b"kitty(0.26.5)", {}, ("quadrants", True)),
+        (b"kitty(0.19.3)", {}, ("quadrants", False)),
+        (b"foot(1.28.0)", {}, ("quadrants", True)),
+        (b"foot(1.13.1)", {}, ("quadrants", True)),
+        (b"ghostty 1.3.0-main+5cb2fa6f", {}, ("quadrants", True)),
+        (b"ghostty 1.0.2", {}, ("quadrants", True)),
+        (b"Konsole 26.08.2", {}, ("quadrants", True)),
+        (b"WezTerm 20240203-110809-5046fc22", {}, ("quadrants", True)),
+        (b"VTE(7600)", {}, ("quadrants", True)),
+        (b"XTerm(412)", {}, ("quadrants", False)),
+        (b"xterm.js(6.1.0-beta.304)", {}, ("quadrants", False)),
+        (b"tmux 3.8", {"TERM_PROGRAM": "tmux"}, ("quadrants", False)),
+        (b"XTerm(412)", {"TSPLAT_GLYPHS": "sextants"}, ("sextants", True)),
+        (b"kitty(0.48.2)", {"TSPLAT_GLYPHS": "halves"}, ("halves", False)),
+        (b"tmux 3.8", {"TSPLAT_GLYPHS": "octants"}, ("octants", True)),
+        (b"kitty(0.48.2)", {"TSPLAT_GLYPHS": ""}, ("quadrants", True)),
+    ],
+)
+def test_block_characters(name, environ, facts):
+    """Quadrants, sure where the terminal is known to draw them itself; or what is asked for."""
+    terminal = parse_answers(version(name) + b"\x1b[?62;c", {**XTERM, **environ}, WINSIZE)
+    assert (terminal.glyphs, terminal.draws_blocks) == facts
+
+
+def test_alacritty_is_known_by_its_terminfo():
+    """It answers no XTVERSION; in tmux the name would be that of the terminal outside."""
+    environ = {"TERM": "alacritty"}
+    assert parse_answers(b"\x1b[?6c", environ, WINSIZE).draws_blocks
+    assert not parse_answers(b"\x1b[?6c", {**environ, "TMUX": "1"}, WINSIZE).draws_blocks
+
+
+def test_unknown_block_characters_are_an_error():
+    """The text lists those there are."""
+    with pytest.raises(TerminalError, match=r"TSPLAT_GLYPHS: expected one of halves, quad.*'dots'"):
+        parse_answers(b"", {**XTERM, "TSPLAT_GLYPHS": "dots"}, WINSIZE)

@@ -3,12 +3,12 @@
 import pytest
 
 from tsplat.core.errors import PluginError, TerminalError
-from tsplat.presenters import halfblock, iterm2, kitty, sixel
+from tsplat.presenters import blocks, braille, halfblock, iterm2, kitty, letters, sixel
 from tsplat.presenters.base import Presenter, Terminal
 from tsplat.terminal import choose_presenter
 
 ROWS = {
-    row.name: row for module in (kitty, iterm2, sixel, halfblock)
+    row.name: row for module in (kitty, iterm2, sixel, blocks, halfblock, braille, letters)
     for row in module.tsplat_presenters()
 }  # fmt: skip
 ALL = {"kitty": True, "iterm2": True, "sixel": True}
@@ -24,7 +24,10 @@ ALL = {"kitty": True, "iterm2": True, "sixel": True}
         (Terminal(kitty=True, sixel=True, name="Konsole 22.04"), "kitty"),
         (Terminal(iterm2=True, sixel=True), "iterm2"),
         (Terminal(sixel=True, name="foot(1.28.0)"), "sixel"),
+        (Terminal(sixel=True, draws_blocks=True), "sixel"),
+        (Terminal(draws_blocks=True, name="VTE(7600)"), "blocks"),
         (Terminal(), "halfblock"),
+        (Terminal(glyphs="octants"), "halfblock"),
         (Terminal(**ALL, multiplexer="tmux"), "halfblock"),
     ],
 )
@@ -46,7 +49,7 @@ def test_the_wanted_one_is_obeyed():
 
 def test_an_unknown_name_lists_the_known():
     """The error says what is installed."""
-    with pytest.raises(PluginError, match="'sixl'; installed: halfblock, iterm2, kitty, sixel"):
+    with pytest.raises(PluginError, match=r"'sixl'; installed: blocks, .*, kitty, letters, sixel"):
         choose_presenter(ROWS, Terminal(), "sixl")
 
 

@@ -26,6 +26,8 @@ class Terminal:
     sixel: bool = False  # DA1 lists attribute 4
     sixel_registers: int = 256  # colour registers at most
     sixel_max: tuple[int, int] = (0, 0)  # px, largest sixel picture; 0 for unknown
+    glyphs: str = "quadrants"  # blocks worth showing: halves, quadrants, sextants or octants
+    draws_blocks: bool = False  # known to draw those itself, whatever the font has
     synchronized: bool = False  # DEC mode 2026
     name: str = ""  # what it calls itself (XTVERSION), printable
     multiplexer: str = ""  # "tmux" or "screen" when one is in between

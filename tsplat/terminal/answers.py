@@ -10,6 +10,14 @@ not come. Sources:
 - ReportCellSize: https://iterm2.com/documentation-escape-codes.html
 - synchronized output: https://github.com/contour-terminal/vt-extensions
 - NO_COLOR: https://no-color.org
+
+Who draws which block characters itself, whatever the font has, was photographed (kitty 0.26.5 and
+0.48.2, Konsole 22.12 and 26.08, foot 1.13 and 1.28) or is from
+https://github.com/dankamongmen/notcurses/blob/master/TERMINALS.md (VTE),
+https://github.com/ghostty-org/ghostty/pull/5433 (Ghostty's octants, 2025-01),
+https://wezterm.org/config/lua/config/custom_block_glyphs.html , and
+https://github.com/alacritty/alacritty/pull/7534 (Alacritty adds sextants to what it has). Windows
+Terminal and xterm.js draw some depending on the renderer, which they do not tell.
 """
 
 from __future__ import annotations
@@ -19,7 +27,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from math import isfinite
 
-from tsplat.core.errors import printable
+from tsplat.core.errors import TerminalError, printable
 from tsplat.presenters.base import Terminal
 
 Winsize = tuple[int, int, int, int]  # rows, columns, xpixel, ypixel as TIOCGWINSZ has them
@@ -68,6 +76,17 @@ _TRUECOLOR_NAMES = (
 )  # fmt: skip
 
 
+# Begin of the name, first version of those that draw block characters themselves. They draw
+# sextants too, and kitty 0.48, foot 1.28 and Ghostty 1.2 octants; but quadrants with eighths show a
+# picture as well as octants (mosaic.py), and look better, as they are made of more px.
+_DRAWS = (
+    ("kitty", (0, 26)), ("foot", (1, 13)), ("ghostty", (1,)), ("konsole", (22, 12)),
+    ("wezterm", (20210314,)), ("vte", ()), ("alacritty", ()),
+)  # fmt: skip
+GLYPHS = "TSPLAT_GLYPHS"
+GLYPH_SETS = ("halves", "quadrants", "sextants", "octants")
+
+
 def split_answers(data: bytes) -> tuple[bytes, bytes]:
     """``data`` as (answers, the rest: what somebody typed meanwhile)."""
     return b"".join(m.group() for m in _ANSWER.finditer(data)), _ANSWER.sub(b"", data)
@@ -87,6 +106,8 @@ def parse_answers(answers: bytes, environ: Mapping[str, str], winsize: Winsize) 
     registers = _REGISTERS.search(answers)
     geometry = _GEOMETRY.search(answers)
     sync = _SYNCHRONIZED.search(answers)
+    name = said or _name_by_environment(environ)
+    glyphs, draws_blocks = _glyphs(name, mux, environ)
     terminal = Terminal(
         colors=_colors(answers, said, mux, environ),
         kitty=_KITTY_OK.search(answers) is not None,
@@ -95,7 +116,9 @@ def parse_answers(answers: bytes, environ: Mapping[str, str], winsize: Winsize) 
         sixel_registers=max(2, int(registers.group(1))) if registers else 256,
         sixel_max=(int(geometry.group(1)), int(geometry.group(2))) if geometry else (0, 0),
         synchronized=sync is not None and sync.group(1) in (b"1", b"2", b"3"),
-        name=said or _name_by_environment(environ),
+        glyphs=glyphs,
+        draws_blocks=draws_blocks,
+        name=name,
         multiplexer=mux,
     )
     return _sized(terminal, _with_answers(winsize, answers, environ), _cell(answers))
@@ -171,12 +194,31 @@ def _multiplexer(said: str, environ: Mapping[str, str]) -> str:
 
 def _name_by_environment(environ: Mapping[str, str]) -> str:
     """A name for terminals that do not answer XTVERSION."""
-    if environ.get("TERM", "").startswith("mlterm"):
-        return "mlterm"
+    for name in ("mlterm", "alacritty"):
+        if environ.get("TERM", "").startswith(name):
+            return name
     if version := environ.get("KONSOLE_VERSION"):
         return printable(f"Konsole {version}")
     words = environ.get("TERM_PROGRAM", ""), environ.get("TERM_PROGRAM_VERSION", "")
     return printable(" ".join(w for w in words if w)) or printable(environ.get("LC_TERMINAL", ""))
+
+
+def _glyphs(name: str, mux: str, environ: Mapping[str, str]) -> tuple[str, bool]:
+    """The set of block characters to use, and whether it is sure to be drawn well.
+
+    Raises:
+        TerminalError: ``TSPLAT_GLYPHS`` is none of them.
+    """
+    wanted = environ.get(GLYPHS, "").strip()
+    if wanted and wanted not in GLYPH_SETS:
+        raise TerminalError(
+            f"{GLYPHS}: expected one of {', '.join(GLYPH_SETS)}, got {printable(repr(wanted))}"
+        )
+    if wanted:
+        return wanted, wanted != "halves"
+    version = tuple(int(n) for n in re.findall(r"\d{1,9}", name)[:2])
+    draws = any(name.lower().startswith(start) and version >= first for start, first in _DRAWS)
+    return "quadrants", draws and not mux  # a multiplexer's name says nothing of the terminal
 
 
 def _has_iterm2(answers: bytes, said: str, environ: Mapping[str, str]) -> bool:

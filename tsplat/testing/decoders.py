@@ -1,4 +1,4 @@
-"""What a terminal shows after a presenter's bytes: decoders of the four built-in protocols.
+"""What a terminal shows after a presenter's bytes: decoders of the built-in protocols.
 
 Written to the specifications, each of them linked below, and knowing nothing of the encoders. A
 decoder takes a whole session, payloads joined by :data:`~tsplat.testing.stream.HOME`, and returns
@@ -11,10 +11,12 @@ from __future__ import annotations
 import binascii
 import io
 import re
+import unicodedata
 import zlib
 from base64 import b64decode
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -342,10 +344,11 @@ def sixel(data: bytes, terminal: Terminal) -> Decoded:
     return canvas.shown(terminal, faults)
 
 
-# --- half blocks: https://invisible-island.net/xterm/ctlseqs/ctlseqs.html (CUP, CUF, SGR)
+# --- characters: https://invisible-island.net/xterm/ctlseqs/ctlseqs.html (CUP, CUF, CR, LF, SGR)
 
 Rgb = tuple[int, int, int]
-_HALVES = {" ": (1, 1), "▀": (0, 1), "▄": (1, 0), "█": (0, 0)}  # 0: foreground, 1: background
+Coverage = NDArray[np.float32]
+"""The share of each px of a cell that is ink, [h, w], 0..1."""
 _LEVELS = 0, 95, 135, 175, 215, 255
 INK, PAPER = (255, 255, 255), (0, 0, 0)  # where no colour is set
 
@@ -370,11 +373,106 @@ def xterm_rgb(number: int) -> Rgb:
     return r, g, b
 
 
-class Cells:
-    """A screen of cells that takes CUP, CUF, SGR and four characters; each cell is two halves."""
+# Bits: the squares of a cell from left to right and from the top down, first the lowest
+_QUARTERS = {name: 1 << n for n, name in enumerate(("UL", "UR", "LL", "LR"))}
+_HALVES = {
+    "LEFT HALF": "UL LL",
+    "RIGHT HALF": "UR LR",
+    "UPPER HALF": "UL UR",
+    "LOWER HALF": "LL LR",
+}
+_EIGHTHS = {"ONE EIGHTH": 1, "ONE QUARTER": 2, "THREE EIGHTHS": 3, "HALF": 4, "FIVE EIGHTHS": 5,
+            "THREE QUARTERS": 6, "SEVEN EIGHTHS": 7}  # fmt: skip
+# Block octants that have a character of their own elsewhere, but for those of quadrants: Unicode
+# 16, charts U1CC00 and U1FB00. One quarter of a half, a middle quarter, quarters of the whole.
+_OTHER_OCTANTS = {
+    "\U0001cea8": 0b00000001, "\U0001ceab": 0b00000010, "\U0001cea3": 0b01000000,
+    "\U0001cea0": 0b10000000, "\U0001fbe6": 0b00010100, "\U0001fbe7": 0b00101000,
+    "\U0001fb82": 0b00000011, "▂": 0b11000000, "\U0001fb85": 0b00111111, "▆": 0b11111100,
+}  # fmt: skip
 
-    def __init__(self, columns: int, rows: int) -> None:
-        self.halves: U8 = np.zeros((2 * rows, columns, 3), np.uint8)
+
+def squares(bits: int, high: int) -> Coverage:
+    """Two by ``high`` squares as [high, 2]."""
+    return np.array([[bits >> 2 * y + x & 1 for x in (0, 1)] for y in range(high)], np.float32)
+
+
+def _grown(coverage: Coverage, high: int) -> Coverage:
+    """The same with ``high`` rows, a multiple."""
+    return coverage.repeat(high // len(coverage), 0)
+
+
+@cache
+def quadrant_coverage() -> dict[str, Coverage]:
+    """Space, full block, halves and quadrants by their names, [2, 2]."""
+    found = {" ": 0, "█": 15}
+    for character in map(chr, range(0x2580, 0x25A0)):
+        name = unicodedata.name(character).removeprefix("QUADRANT ").removesuffix(" BLOCK")
+        if name in _HALVES:
+            found[character] = sum(_QUARTERS[part] for part in _HALVES[name].split())
+        elif " AND " in name or name.split()[-1] in ("LEFT", "RIGHT"):
+            parts = name.split(" AND ")
+            found[character] = sum(_QUARTERS["".join(w[0] for w in p.split())] for p in parts)
+    return {character: squares(bits, 2) for character, bits in found.items()}
+
+
+@cache
+def block_coverage(high: int) -> dict[str, Coverage]:
+    """Characters of a grid of 2 x ``high``: 2 halves, 3 sextants, 4 octants, 8 eighths."""
+    if high == 3:
+        found = {character: _grown(c, 6)[::2] for character, c in quadrant_coverage().items()
+                 if (c[0] == c[1]).all()}  # fmt: skip
+        for character in map(chr, range(0x1FB00, 0x1FB3C)):  # BLOCK SEXTANT-135
+            digits = unicodedata.name(character).partition("-")[2]
+            found[character] = squares(sum(1 << int(d) - 1 for d in digits), 3)
+        return found
+    found = {character: _grown(c, high) for character, c in quadrant_coverage().items()}
+    if high == 8:
+        for character in map(chr, range(0x2581, 0x2588)):  # LOWER THREE EIGHTHS BLOCK
+            name = unicodedata.name(character).removeprefix("LOWER ").removesuffix(" BLOCK")
+            found[character] = (np.arange(8) >= 8 - _EIGHTHS[name])[:, None].repeat(
+                2, 1
+            ) * np.float32(1)
+    if high == 4:
+        found |= {character: squares(bits, 4) for character, bits in _OTHER_OCTANTS.items()}
+        taken = {c.tobytes() for c in found.values()}
+        rest = [c for c in (squares(bits, 4) for bits in range(256)) if c.tobytes() not in taken]
+        # BLOCK OCTANT-3 to BLOCK OCTANT-2345678, in the order of their bits
+        found |= {chr(0x1CD00 + n): c for n, c in enumerate(rest)}
+    return found
+
+
+@cache
+def braille_coverage() -> dict[str, Coverage]:
+    """Dots as whole squares, [4, 2]. U+2800 and a number whose bits are the dots 1 to 8."""
+    dots = ((0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (2, 1), (3, 0), (3, 1))
+    found = {" ": np.zeros((4, 2), np.float32)}
+    for number in range(256):
+        coverage = np.zeros((4, 2), np.float32)
+        for bit, place in enumerate(dots):
+            coverage[place] = number >> bit & 1
+        found[chr(0x2800 + number)] = coverage
+    return found
+
+
+@cache
+def letter_coverage() -> dict[str, Coverage]:
+    """Printable ASCII, [4, 2]; measured, see :mod:`tsplat.presenters.letters`."""
+    from tsplat.presenters.letters import FIRST, ink
+
+    return {chr(FIRST + n): row.reshape(4, 2) for n, row in enumerate(ink())}
+
+
+class Cells:
+    """A screen of cells that takes CUP, CUF, CR, LF, SGR and the characters of ``coverage``."""
+
+    def __init__(
+        self, columns: int, rows: int, coverage: dict[str, Coverage] | None = None
+    ) -> None:
+        halves = {c: v[:, :1] for c, v in quadrant_coverage().items() if (v[:, 0] == v[:, 1]).all()}
+        self.coverage = halves if coverage is None else coverage
+        self.high, self.wide = self.coverage[" "].shape
+        self.pixels: U8 = np.zeros((self.high * rows, self.wide * columns, 3), np.uint8)
         self.drawn = np.zeros((rows, columns), bool)
 
     def feed(self, data: bytes) -> None:
@@ -391,6 +489,10 @@ class Cells:
                 for character in token.body.decode(errors="replace"):
                     self._put(x, y, character, pen)
                     x += 1
+            elif token.body == b"\r":
+                x = 0
+            elif token.body == b"\n":
+                y += 1
             elif token.kind != "csi":
                 raise ContractError(f"not understood by this decoder: {token.body[:20]!r}")
             elif token.body.endswith(b"H"):
@@ -405,11 +507,27 @@ class Cells:
         rows, columns = self.drawn.shape
         if not (0 <= x < columns and 0 <= y < rows):
             raise ContractError(f"column {x + 1}, row {y + 1}: outside {columns}x{rows} cells")
-        if character not in _HALVES:
-            raise ContractError(f"the character {character!r} is no half block")
-        for half, layer in enumerate(_HALVES[character]):
-            self.halves[2 * y + half, x] = pen[layer]
+        if character not in self.coverage:
+            raise ContractError(f"the character {character!r} is not one of this decoder's")
+        share = self.coverage[character][:, :, None]
+        ink, paper = (np.array(color, np.float32) for color in pen)
+        cell = self.pixels[y * self.high :, x * self.wide :][: self.high, : self.wide]
+        cell[...] = np.rint(paper + share * (ink - paper))
         self.drawn[y, x] = True
+
+    def picture(self) -> U8:
+        """The rectangle of cells that were printed.
+
+        Raises:
+            ContractError: it is none, or does not begin at the top left.
+        """
+        if not self.drawn.any():
+            raise ContractError("no picture is shown")
+        rows = int(self.drawn.any(1).sum())
+        columns = int(self.drawn.any(0).sum())
+        if not self.drawn[:rows, :columns].all():
+            raise ContractError("cells are left out, or the picture does not begin at the top left")
+        return self.pixels[: self.high * rows, : self.wide * columns]
 
 
 def _sgr(values: list[int], pen: list[Rgb]) -> None:
@@ -437,14 +555,28 @@ def _sgr(values: list[int], pen: list[Rgb]) -> None:
             raise ContractError(f"SGR {n} is not understood by this decoder")
 
 
+def _shown(data: bytes, terminal: Terminal, coverage: dict[str, Coverage] | None) -> U8:
+    screen = Cells(terminal.columns, max(1, terminal.rows - 1), coverage)
+    screen.feed(data)
+    return screen.picture()
+
+
 def halfblock(data: bytes, terminal: Terminal) -> U8:
     """Half cells as pixels; the picture is the rectangle of cells that were printed."""
-    screen = Cells(terminal.columns, max(1, terminal.rows - 1))
-    screen.feed(data)
-    if not screen.drawn.any():
-        raise ContractError("no picture is shown")
-    rows = int(screen.drawn.any(1).sum())
-    columns = int(screen.drawn.any(0).sum())
-    if not screen.drawn[:rows, :columns].all():
-        raise ContractError("cells are left out, or the picture does not begin at the top left")
-    return screen.halves[: 2 * rows, :columns]
+    return _shown(data, terminal, None)
+
+
+def blocks(data: bytes, terminal: Terminal) -> U8:
+    """Halves, quadrants and eighths, sextants or octants as ``terminal.glyphs`` says, as pixels."""
+    high = {"halves": 2, "quadrants": 8, "sextants": 3, "octants": 4}[terminal.glyphs]
+    return _shown(data, terminal, block_coverage(high) if high > 2 else None)
+
+
+def braille(data: bytes, terminal: Terminal) -> U8:
+    """Dots as pixels, whole squares; what fonts draw is smaller and rounder."""
+    return _shown(data, terminal, braille_coverage())
+
+
+def letters(data: bytes, terminal: Terminal) -> U8:
+    """Printable ASCII as DejaVu Sans Mono has it, in eighths of a cell, the densest as full."""
+    return _shown(data, terminal, letter_coverage())

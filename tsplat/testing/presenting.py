@@ -79,6 +79,26 @@ def _halfblock_bound(terminal: Terminal) -> Bound:
     return EXACT if terminal.colors == TRUECOLOR else Bound(4, 0, 17.0 * (terminal.colors == 256))
 
 
+def _blocks_bound(terminal: Terminal) -> Bound:
+    """Two colours a cell: octants and sextants show any two, the others any one."""
+    any_two = terminal.glyphs in ("octants", "sextants")
+    if terminal.colors == 2:
+        return Bound(1 + any_two, 0, 0)
+    if terminal.colors == TRUECOLOR:
+        return EXACT if terminal.glyphs == "halves" else Bound(1 + any_two, 0, 20.0)
+    return Bound(1, 0, 14.0 * (terminal.colors == 256))
+
+
+def _braille_bound(terminal: Terminal) -> Bound:
+    """Black and white are exact; of colours the mean is right, with black between the dots."""
+    return Bound(2, 0, 0) if terminal.colors == 2 else Bound(0, 0, 9.0 * (terminal.colors > 16))
+
+
+def _letters_bound(terminal: Terminal) -> Bound:
+    """As braille, and darker: no letter is all ink."""
+    return Bound(0, 0, 6.0 * (terminal.colors > 16))
+
+
 def _sixel_bound(terminal: Terminal) -> Bound:
     """Percent: 2.55 levels a step, and two roundings. Smooth pictures need more registers."""
     return Bound(4, 2, 34.0 if terminal.sixel_registers >= 256 else 24.0)
@@ -93,7 +113,10 @@ DECODINGS = {
     "kitty": Decoding(decoders.kitty),
     "iterm2": Decoding(decoders.iterm2, _jpeg_bound),
     "sixel": Decoding(decoders.sixel, _sixel_bound),
+    "blocks": Decoding(decoders.blocks, _blocks_bound),
     "halfblock": Decoding(decoders.halfblock, _halfblock_bound),
+    "braille": Decoding(decoders.braille, _braille_bound),
+    "letters": Decoding(decoders.letters, _letters_bound),
 }
 """The built-in presenters' protocols."""
 
@@ -112,12 +135,14 @@ def terminals(draw: st.DrawFn) -> Terminal:
         sixel=True,
         sixel_registers=draw(st.sampled_from((16, 256, 1024))),
         sixel_max=draw(st.sampled_from(((0, 0), (60, 40)))),
+        glyphs=draw(st.sampled_from(("halves", "quadrants", "sextants", "octants"))),
+        draws_blocks=True,
         synchronized=True,
         name=draw(st.sampled_from(("", "Konsole 26.08.2", "kitty(0.48.2)"))),
     )
 
 
-KINDS = ("flat", "tones", "smooth", "noise")
+KINDS = ("flat", "pair", "tones", "smooth", "noise")
 
 # Levels that the colours of a terminal are made of, so that each of them is one of its own
 _LEVELS = {
@@ -131,7 +156,8 @@ _LEVELS = {
 def make_pixels(seed: int, kind: str, width: int, height: int, colors: int) -> U8:
     """An [H, W, 3] picture of one of :data:`KINDS`.
 
-    Flat and of a few tones: colours that a terminal with ``colors`` has. Noise makes long streams.
+    Of one, two or a few tones: colours that a terminal with ``colors`` has. Noise makes long
+    streams.
     """
     rng = np.random.default_rng(seed)
     if kind == "noise":
@@ -144,7 +170,7 @@ def make_pixels(seed: int, kind: str, width: int, height: int, colors: int) -> U
         ]
         return np.rint(127.5 + 120 * np.stack(rgb, -1)).astype(np.uint8)
     levels = np.array(_LEVELS[colors], np.uint8)
-    table = rng.choice(levels, (1 if kind == "flat" else 4, 3))
+    table = rng.choice(levels, ({"flat": 1, "pair": 2}.get(kind, 4), 3))
     if colors == 2:
         table[:] = table[:, :1]
     if colors == 16:
@@ -400,7 +426,7 @@ def _judge(check: str, decoding: Decoding, case: Showing, shown: Decoded) -> Ver
     error = abs(picture.astype(np.int16) - wanted)
     colors = len(np.unique(wanted.reshape(-1, 3), axis=0))
     faults = []
-    few = case.kind in ("flat", "tones") and colors <= bound.colors
+    few = case.kind in ("flat", "pair", "tones") and colors <= bound.colors
     if (few or bound.colors == math.inf) and error.max() > bound.worst:
         y, x, _ = np.unravel_index(error.argmax(), error.shape)
         faults.append(

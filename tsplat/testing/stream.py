@@ -69,6 +69,8 @@ def columns_of(character: str) -> int:
     """Cells that ``character`` takes: 0, 1 or 2."""
     if unicodedata.category(character) in ("Mn", "Me", "Cf"):
         return 0
+    if unicodedata.category(character) == "Cn":  # newer than Python's tables, as octants may be
+        return 1
     return 2 if unicodedata.east_asian_width(character) in "WF" else 1
 
 
