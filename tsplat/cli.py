@@ -38,6 +38,7 @@ examples:
   tsplat view scene.ply --backend numba --presenter halfblock
   tsplat view scene.ply --max-splats 200000 --threads 4
   tsplat view scene.ply --quality fast
+  tsplat view scene.ply --fps 15 --max-rate 2M
   tsplat view scene.ply --verify
 
 keys: W A S D pan, arrows or J K / H L turn, + - zoom, mouse drag turns, wheel zooms,
@@ -133,6 +134,17 @@ def _positive(text: str) -> float:
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
     return value
+
+
+def _bits(text: str) -> float:
+    """Bits/s from a number with k, M or G behind it."""
+    match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,9})?)([kMG]?)", text)
+    rate = float(match[1]) * {"": 1, "k": 1e3, "M": 1e6, "G": 1e9}[match[2]] if match else 0
+    if rate < 1000:
+        raise argparse.ArgumentTypeError(
+            f"expected bits/s from 1k on, such as 500k or 2M, got {text!r}"
+        )
+    return rate
 
 
 def _threads(text: str) -> int:
@@ -246,6 +258,14 @@ def make_parser() -> argparse.ArgumentParser:
     view.add_argument(
         "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each"
     )
+    view.add_argument(
+        "--fps", type=_positive, default=30.0, metavar="N",
+        help="frames a second (30): a moving picture has as many pixels as that allows",
+    )  # fmt: skip
+    view.add_argument(
+        "--max-rate", type=_bits, metavar="R",
+        help="send at most so many bits/s, such as 500k or 2M (default: what the link takes)",
+    )  # fmt: skip
     view.add_argument(
         "--verify", action="store_true",
         help="compare still frames with the float64 reference, some tiles at a time, meanwhile",

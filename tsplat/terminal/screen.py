@@ -351,7 +351,7 @@ class Screen:
         """One synchronized update, from the top left cell on; b"" writes nothing.
 
         Returns at once; what the tty does not take now is written while events are read. With
-        ``track`` the terminal is asked to report when it is through: see ``busy``.
+        ``track`` the terminal is asked to report when it is through: see ``busy`` and ``flight``.
 
         Raises:
             Terminated: a deadly signal came, or the terminal is gone.
@@ -423,6 +423,8 @@ class Screen:
             self._queue.append(self._posted.popleft())
         if writable or held_back:
             self._pump()
+            if not self._rest and not self._unanswered:
+                self._queue.append(Event("ready"))
             self._sent = time.monotonic()  # the terminal's time begins when it has everything
         if self._in in readable:
             with contextlib.suppress(BlockingIOError):

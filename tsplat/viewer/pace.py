@@ -33,6 +33,14 @@ class _Level:
     noted: float = 0.0  # s, of the clock
 
 
+@dataclass(frozen=True)
+class Link:
+    """How frames got to the terminal."""
+
+    seconds: float  # a frame, until the terminal answered
+    rate: float  # bytes/s
+
+
 class Pace:
     """The level of moving pictures of ``size`` px, so that there are ``fps`` of them in a second.
 
@@ -113,7 +121,9 @@ class Pace:
         return next((n for n in range(level) if self.load(n) <= PATIENCE), level - 1)
 
     @property
-    def rate(self) -> float:
-        """Bytes/s that got through, of the last frames; 0 if nothing is known."""
+    def link(self) -> Link | None:
+        """Of the last frames; None if nothing is known."""
         seconds = sum(flight for _, flight in self._link)
-        return sum(sent for sent, _ in self._link) / seconds if seconds > 0 else 0.0
+        if seconds <= 0:
+            return None
+        return Link(seconds / len(self._link), sum(sent for sent, _ in self._link) / seconds)
