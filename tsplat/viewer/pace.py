@@ -20,8 +20,10 @@ SHORTEST = 32  # px: no level makes a side shorter that is not so already
 PREVIEW = 80_000  # px of the first picture, when nothing is known of link and scene
 SAMPLES = 3  # of a level: their median counts, so that one hiccup does not
 STALE_SECONDS = 5.0  # for what was measured before: another view, another load
+FORGOTTEN = 5  # times as old
 HEADROOM = 0.8  # of a frame's time, at which a finer level is tried
-GAIN = 1.2  # a coarser level must be so much faster than a finer one to be worth it
+GAIN = 1.35  # a level is left for coarser ones only if it takes so much longer than the coarsest
+REGAIN = 1.2  # and come back to if it takes no more than that
 PATIENCE = 0.5  # s, for the next step of a picture that stands still
 LINK_SAMPLES = 8
 
@@ -67,43 +69,60 @@ class Pace:
         """A frame was shown: s of its stages, bytes sent. Chooses the level of the next."""
         stages = render, encode, flight
         row = self._levels[level]
-        if self._old(row):
+        if self._age(row) > 1:
             row.loads.clear()
         row.loads.append(max(*stages, sum(stages) / 2))
         row.noted = self._clock()
         self._link.append((sent, flight))
         self._choose()
 
-    def _old(self, row: _Level) -> bool:
-        return self._clock() - row.noted > STALE_SECONDS
+    def _age(self, row: _Level) -> float:
+        """How often what is known of ``row`` went stale."""
+        return (self._clock() - row.noted) / STALE_SECONDS
 
     def _known(self) -> list[tuple[int, float]]:
-        """(pixels, s) of the levels that something is known of, the fewest pixels first."""
+        """(pixels, s) of the levels that something is known of, the fewest pixels first.
+
+        What was measured long ago of finer levels is believed less and less, so that they are
+        tried again; of coarser ones it is forgotten.
+        """
         rows = [row for row in self._levels if row.loads]
-        fresh = [row for row in rows if not self._old(row)]
-        rows = fresh or sorted(rows, key=lambda row: row.noted)[-1:]
-        return sorted((row.pixels, median_low(row.loads)) for row in rows)
+        last = max(rows, key=lambda row: row.noted, default=None)
+        known = []
+        for row in rows:
+            seconds, stale = median_low(row.loads), self._age(row) - 1
+            if last is not None and row is not last and stale > 0:
+                if row.pixels < last.pixels:
+                    if stale < FORGOTTEN:
+                        known.append((row.pixels, seconds))
+                    continue
+                now = median_low(last.loads)
+                seconds = now + max(0.0, seconds - now) * 0.5**stale
+            known.append((row.pixels, seconds))
+        return sorted(known)
 
     def load(self, level: int) -> float:
         """Seconds that a frame at ``level`` should take: on the line through the two nearest.
 
-        Of one level alone: in proportion to the pixels.
+        In proportion to the pixels if there are no two, and below the coarsest that is known: what
+        does not depend on the pixels shows only there.
         """
         known, pixels = self._known(), self._levels[level].pixels
         if not known:
             return 0.0
-        if len(known) == 1:
+        if len(known) == 1 or pixels < known[0][0]:
             return known[0][1] * pixels / known[0][0]
         near = sorted(sorted(known, key=lambda point: abs(point[0] - pixels))[:2])
         (few, fast), (many, slow) = near
         slope = max(0.0, (slow - fast) / (many - few))
-        return max(fast + slope * (pixels - few), fast * min(1.0, pixels / few))
+        return max(0.0, fast + slope * (pixels - few))
 
     def _choose(self) -> None:
         loads = [self.load(n) for n in range(len(self._levels))]
-        most = max(self.period, GAIN * loads[-1])
+        stays = max(self.period, GAIN * loads[-1])
+        rises = max(HEADROOM * self.period, REGAIN * loads[-1])
         for level, seconds in enumerate(loads):
-            if seconds <= (most if level >= self.level else HEADROOM * most):
+            if seconds <= (stays if level >= self.level else rises):
                 self.level = level
                 return
 
