@@ -41,16 +41,16 @@ class SlowSession(Session):
 
 @pytest.fixture
 def slow():
+    """Its first picture, of few pixels, is there, and 20 kB of the finer one after it."""
     made = SlowSession("--presenter", "sixel", "--max-splats", "3000")
-    made.pump(lambda: made.frames() >= 2)
+    made.pump(lambda: made.frames() == 1)
+    made.pump(lambda: len(made.output) - made.output.rindex(DSR) > 20e3)
     yield made
     made.close()
 
 
 def test_a_move_does_not_wait_for_the_refined_picture(slow):
     """Half written, the large picture gives way: what the tty holds is all that still comes."""
-    slow.send(b"j")
-    slow.pump(lambda: len(slow.output) - slow.output.rindex(DSR) > 20e3)  # it is being refined
     frames, before = slow.frames(), len(slow.output)
     slow.press(b"l")
     slow.pump(lambda: slow.frames() >= frames + 2)  # the end of what was begun, and the new one
@@ -79,8 +79,6 @@ def test_keys_that_come_faster_than_pictures_are_not_queued(slow):
 
 def test_quitting_does_not_wait_for_the_picture(slow):
     """Q in the middle of a picture: its end is not sent, and the string that it is in is closed."""
-    slow.send(b"j")
-    slow.pump(lambda: len(slow.output) - slow.output.rindex(DSR) > 20e3)
     before = len(slow.output)
     slow.press(b"q")
     slow.end(0)
@@ -107,8 +105,6 @@ def test_max_rate_holds():
 
 def test_a_resize_in_the_middle_of_a_picture(slow):
     """What was begun is closed; the next pictures are of the new size."""
-    slow.send(b"j")
-    slow.pump(lambda: len(slow.output) - slow.output.rindex(DSR) > 20e3)
     fcntl.ioctl(slow.master, termios.TIOCSWINSZ, struct.pack("4H", 12, 40, 400, 240))
     os.killpg(slow.process.pid, signal.SIGWINCH)
     slow.pump(lambda: slow.pictures()[-1] == (b"400", b"216"))

@@ -310,13 +310,14 @@ class Viewer:
         names = "+".join(dict.fromkeys(self._plan.backends.values()))
         shortcuts = f"  {settings_text(self._plan.asked)}" if self._plan.shortcuts else ""
         width, height = picture.size
-        full = "" if picture.level == 0 else " of {}x{}".format(*self._pace.size(0))
+        full = "" if picture.level == 0 else "/{}x{}".format(*self._pace.size(0))
+        every = f" of {len(self._scene):,}" if rendered.visible < len(self._scene) else ""
         span = self._frames[-1] - self._frames[0]
         rate = f"  {(len(self._frames) - 1) / span:.0f} fps" if len(self._frames) > 2 else ""
         link = self._pace.link
-        way = f"  link {link.seconds * 1e3:.0f} ms {bits(link.rate)}" if link else ""
+        way = f"  {link.seconds * 1e3:.0f} ms {bits(link.rate)}" if link else ""
         return (
-            f"{self._scene.name}  {rendered.visible:,} of {len(self._scene):,}{rate}  "
+            f"{self._scene.name}  {rendered.visible:,}{every}{rate}  "
             f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{self._plan.threads}{shortcuts}  "
             f"{picture.presenter.name} {width}x{height}{full} "
             f"{encoded.seconds * 1e3:.1f} ms {len(encoded.payload) / 1e3:.0f} kB{way}  ? keys"
