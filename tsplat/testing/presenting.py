@@ -217,7 +217,7 @@ def _showings(
         other[:, seed % size[0]] ^= 255
     elif earlier == "another":
         other = make_pixels(seed + 1, draw(st.sampled_from(KINDS)), *size, terminal.colors)
-    fewer = draw(st.integers(1, size[0])), draw(st.integers(1, size[1]))
+    fewer = 1 + seed % size[0], 1 + seed // SIZE_MAX % size[1]
     few = make_pixels(seed + 3, kind, *fewer, terminal.colors)
     return Showing(
         terminal, make_frame(pixels, seed, disguise), make_frame(other, seed + 2, "plain"),
