@@ -5,11 +5,12 @@ from __future__ import annotations
 import inspect
 import re
 
+import numpy as np
 import pytest
 from hypothesis import Phase, settings
 
 from tests.conftest import ROOT
-from tsplat import hookspecs
+from tsplat import Frame, Terminal, hookspecs
 from tsplat.cli import COMMANDS, make_parser
 from tsplat.core.errors import ContractError
 from tsplat.testing.conformance import backend_checks
@@ -115,7 +116,10 @@ def test_the_presenter_tutorial_runs():
     assert caught(presenter_checks(namespace["FIRST_TRY"], kitty, max_examples=40)) == {"stream"}
     assert caught(presenter_checks(namespace["SECOND_TRY"], kitty, max_examples=40)) == set()
     shown = namespace["test_conformance"].pytestmark[0].args[1]
-    assert {check.name for check in shown} == {*BYTES_ALONE, *DECODED}
+    assert {check.name for check in shown} == {*BYTES_ALONE, *DECODED} - {"fill"}
+    few = Frame(np.array([[[0, 0, 0], [1, 1, 1]]], np.float32), np.zeros((1, 2), np.float32))
+    filled = namespace["FILLING"].fill(few, Terminal(columns=4, rows=3), None)
+    assert filled == b"  @@\r\n  @@"
 
 
 def test_every_hook_is_documented():

@@ -41,6 +41,7 @@ examples:
   tsplat view scene.ply --backend numba --presenter halfblock
   tsplat view scene.ply --max-splats 200000 --threads 4
   tsplat view scene.ply --quality fast
+  tsplat view scene.ply --fps 15 --max-rate 2M
   tsplat view scene.ply --verify
   tsplat view scene.ply --play path.json
 
@@ -165,6 +166,17 @@ def _positive(text: str) -> float:
     return value
 
 
+def _bits(text: str) -> float:
+    """Bits/s from a number with k, M or G behind it."""
+    match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,9})?)([kMG]?)", text)
+    rate = float(match[1]) * {"": 1, "k": 1e3, "M": 1e6, "G": 1e9}[match[2]] if match else 0
+    if rate < 1000:
+        raise argparse.ArgumentTypeError(
+            f"expected bits/s from 1k on, such as 500k or 2M, got {text!r}"
+        )
+    return rate
+
+
 def _threads(text: str) -> int:
     value = _count(text)
     if value > 256:
@@ -286,6 +298,14 @@ def make_parser() -> argparse.ArgumentParser:
     _add_presenter(view)
     _add_background(view)
     view.add_argument("--play", metavar="FILE", help="go along a path of cameras; any key stops it")
+    view.add_argument(
+        "--fps", type=_positive, default=30.0, metavar="N",
+        help="frames a second (30): a moving picture has as many pixels as that allows",
+    )  # fmt: skip
+    view.add_argument(
+        "--max-rate", type=_bits, metavar="R",
+        help="send at most so many bits/s, such as 500k or 2M (default: what the link takes)",
+    )  # fmt: skip
     view.add_argument(
         "--verify", action="store_true",
         help="compare still frames with the float64 reference, some tiles at a time, meanwhile",

@@ -12,15 +12,16 @@ from dataclasses import replace
 import numpy as np
 
 from tsplat.core.types import Frame
-from tsplat.presenters import blocks
+from tsplat.presenters import blocks, iterm2, kitty, sixel
 from tsplat.presenters.base import Terminal
 from tsplat.presenters.blocks import BLOCKS
 from tsplat.presenters.braille import BRAILLE
 from tsplat.presenters.cells import RESET
 from tsplat.presenters.halfblock import HALFBLOCK
-from tsplat.presenters.iterm2 import ITERM2
-from tsplat.presenters.kitty import KITTY
-from tsplat.presenters.sixel import SIXEL
+
+ITERM2, KITTY, SIXEL = (  # of what is wrong with encode, fill would tell as well
+    replace(row, fill=None) for row in (iterm2.ITERM2, kitty.KITTY, sixel.SIXEL)
+)
 
 
 def framed(row, change):
@@ -154,6 +155,12 @@ def poor_jpeg(frame, terminal, previous):
     return ITERM2.encode(Frame(coarse, frame.transmittance), terminal, None)
 
 
+def keeps_what_it_filled(frame, terminal, previous):
+    """As if a picture of fewer pixels could not replace one of full size."""
+    large = previous is not None and previous.rgb.size > frame.rgb.size
+    return b"" if large else kitty.fill(frame, terminal, previous)
+
+
 def all_rows(terminal: Terminal, width: int, height: int):
     return width, 2 * terminal.rows
 
@@ -243,6 +250,25 @@ WRONG = {
     "octants in order": (bytewise(BLOCKS, octants_in_order), {"picture"}),
     "braille upside down": (rgb(BRAILLE, lambda v: v[::-1]), {"picture"}),
     "braille inverted": (rgb(BRAILLE, lambda v: 1 - v), {"picture"}),
+    "kitty, few pixels left small": (replace(KITTY, fill=KITTY.encode), {"fill"}),
+    "sixel, few pixels left small": (replace(SIXEL, fill=SIXEL.encode), {"fill"}),
+    "iterm2 keeps the aspect of few pixels": (
+        replace(ITERM2, fill=lambda f, t, p: iterm2.fill(f, t, p).replace(b"Ratio=0", b"Ratio=1")),
+        {"fill"},
+    ),
+    "few pixels mirrored": (
+        replace(
+            KITTY, fill=rgb(replace(KITTY, encode=kitty.fill), lambda v: v[:, ::-1]).encode
+        ),
+        {"fill"},
+    ),
+    "few pixels after many are not shown": (
+        replace(KITTY, fill=keeps_what_it_filled), {"fill"},
+    ),
+    "few pixels, last row, too": (
+        replace(KITTY, fill=lambda f, t, p: kitty.fill(f, replace(t, rows=t.rows + 1), p)),
+        {"fill"},
+    ),
     "sends no changes": (replace(KITTY, encode=nothing_after_the_first), {"changes"}),
 }  # fmt: skip
 """Name -> the presenter, and the checks that must catch it, and no other."""

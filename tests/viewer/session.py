@@ -34,14 +34,17 @@ def parent_of(pid):
 class Session:
     """The program on a pty whose other end answers as a plain 24-bit terminal would."""
 
-    def __init__(self, *words, python=sys.executable):
+    da1 = b"\x1b[?62;22c"
+    size = ROWS, COLUMNS, 0, 0  # and px
+
+    def __init__(self, *words, python=sys.executable, code=("-m", "tsplat", "view")):
         self.master, slave = pty.openpty()
-        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("4H", ROWS, COLUMNS, 0, 0))
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("4H", *self.size))
         self.before = termios.tcgetattr(slave)
         self.slave = slave
         environment = {**os.environ, "TERM": "xterm-256color", "COLORTERM": "truecolor"}
         self.process = subprocess.Popen(
-            [python, "-m", "tsplat", "view", *words], stdin=slave, stdout=slave,
+            [python, *code, *words], stdin=slave, stdout=slave,
             stderr=subprocess.PIPE, cwd=ROOT, env=environment, start_new_session=True,
             preexec_fn=hear_signals,  # noqa: PLW1509 - no threads here
         )  # fmt: skip
@@ -55,13 +58,22 @@ class Session:
             assert time.monotonic() < deadline, self.output[-400:]
             if select.select([self.master], [], [], 0.05)[0]:
                 try:
-                    self.output += os.read(self.master, 65536)
+                    self.output += self.read()
                 except OSError:
                     break
             asked = re.findall(rb"\x1b\[5n|\x1b\[c", self.output)
             for question in asked[self.answered :]:
-                os.write(self.master, b"\x1b[0n" if question == DSR else b"\x1b[?62;22c")
+                os.write(self.master, b"\x1b[0n" if question == DSR else self.da1)
             self.answered = len(asked)
+
+    def read(self):
+        """What the terminal takes at a time."""
+        return os.read(self.master, 65536)
+
+    def listen(self, seconds):
+        """Reads and answers for so long."""
+        end = time.monotonic() + seconds
+        self.pump(lambda: time.monotonic() >= end, seconds + 30)
 
     def cpu_seconds(self):
         """Processor time of all the viewer's threads so far."""

@@ -18,7 +18,8 @@ from tsplat.plan import make_plan
 from tsplat.plugins import plugins
 from tsplat.terminal import Screen
 from tsplat.viewer.controls import View
-from tsplat.viewer.loop import Viewer
+from tsplat.viewer.loop import Drawn, Encoded, Picture, Viewer
+from tsplat.viewer.pipeline import Pipeline
 from tsplat.views import FOV, frame_orbit, frame_scene
 
 if TYPE_CHECKING:
@@ -66,14 +67,17 @@ def run(arguments: argparse.Namespace) -> int:
             log = BreachLog(lambda camera, pose: check_command(arguments, names, camera, pose))
             verifier = Verifier(worker, log)
             stack.callback(_report, verifier)
+        # Before the screen: its threads are waited for when the terminal is given back already
+        pipeline: Pipeline[Picture, Drawn, Encoded] = stack.enter_context(Pipeline())
         screen = stack.enter_context(Screen())
+        screen.max_rate = arguments.max_rate / 8 if arguments.max_rate else None
         orbit = frame_orbit(scene, *screen.terminal.pixels, FOV)
         view = View(orbit, orbit, FOV)
         if path is not None:
             view = view.playing(path)
         Viewer(
             screen, scene, plan, view, registry.presenters, arguments.presenter, background,
-            verifier,
+            verifier, pipeline=pipeline, fps=arguments.fps,
         ).run()  # fmt: skip
     return 1 if verifier is not None and verifier.broken else 0
 

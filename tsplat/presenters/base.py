@@ -56,6 +56,10 @@ class Presenter:
     ``previous`` (``None``: nothing, or unknown) into one that shows ``frame`` from the top left
     cell on, leaving the last row alone. The caller homes the cursor, wraps the bytes into a
     synchronized update and writes them at once. Rounding to 8 bits is ``Frame.to_uint8``'s.
+
+    While the picture moves it may have fewer pixels than ``size``. ``fill(frame, terminal,
+    previous)``, where it is offered, is ``encode`` for those: the picture covers what one of
+    ``size`` would. Of both the ``previous`` frame may be of either kind.
     """
 
     name: str
@@ -68,6 +72,8 @@ class Presenter:
     still: Callable[[Frame, Terminal], bytes] | None = None
     clear: Callable[[Terminal], bytes] = _nothing  # takes the picture away again
     rank: int = -1  # "auto" takes the highest that is supported
+    # encode for a frame of fewer px, shown over the same area; None: the viewer repeats pixels
+    fill: Callable[[Frame, Terminal, Frame | None], bytes] | None = None
 
 
 def no_pictures(terminal: Terminal) -> str | None:

@@ -12,10 +12,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tsplat.core.types import F32, U8, Frame
+from tsplat.core.types import F32, I64, U8, Frame
 from tsplat.hookspecs import hookimpl
 from tsplat.presenters.base import Presenter, Terminal, changed
 from tsplat.presenters.dither import adaptive_palette, distinct, dither
+from tsplat.presenters.enlarge import edges
 
 DCS = b"\x1bP"  # Device Control String
 ST = b"\x1b\\"
@@ -56,6 +57,21 @@ def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     return sixel(palette, rows)
 
 
+def fill(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
+    """The frame with its pixels repeated until they cover :func:`size`.
+
+    Sixel has no scaling that terminals agree on. Rows are repeated before the lines are made of
+    them, columns after: runs only get longer.
+    """
+    image = frame.to_uint8()
+    if not changed(image, previous):
+        return b""
+    width, height = size(terminal)
+    palette, rows = quantize(image, terminal.sixel_registers)
+    tall = np.repeat(rows, np.diff(edges(frame.height, height)), axis=0)
+    return sixel(palette, tall, edges(frame.width, width))
+
+
 def quantize(image: U8, registers: int) -> tuple[U8, U8]:
     """A palette [K, 3] in percent, as sixel has it, and the row of each pixel [H, W]."""
     colors = distinct(image)
@@ -65,18 +81,22 @@ def quantize(image: U8, registers: int) -> tuple[U8, U8]:
     return percent.astype(np.uint8), dither(colors, shown)
 
 
-def sixel(palette: U8, rows: U8) -> bytes:
-    """A picture: ``palette`` [K, 3] in percent, ``rows`` [H, W] of it. Defines what it uses."""
+def sixel(palette: U8, rows: U8, columns: I64 | None = None) -> bytes:
+    """A picture: ``palette`` [K, 3] in percent, ``rows`` [H, W] of it. Defines what it uses.
+
+    ``columns`` [W + 1] are where each column begins and the last ends, if they are to be wider.
+    """
     height, width = rows.shape
+    columns = np.arange(width + 1) if columns is None else columns
     used = np.flatnonzero(np.bincount(rows.ravel(), minlength=len(palette)))
     registers = b"".join(
         b"#%d;2;%d;%d;%d" % (n, *color) for n, color in zip(used, palette[used], strict=True)
     )
-    raster = b'"1;1;%d;%d' % (width, height)
-    return DCS + PARAMETERS + raster + registers + _lines(rows, len(palette)) + ST
+    raster = b'"1;1;%d;%d' % (columns[-1], height)
+    return DCS + PARAMETERS + raster + registers + _lines(rows, len(palette), columns) + ST
 
 
-def _lines(rows: U8, colors: int) -> bytes:
+def _lines(rows: U8, colors: int, columns: I64) -> bytes:
     height, width = rows.shape
     # Who has which pixel: a line is a colour of a band, a place a column of a line
     y = np.arange(height)[:, None]
@@ -99,12 +119,13 @@ def _lines(rows: U8, colors: int) -> bytes:
     start = np.flatnonzero(begins)
     length = np.diff(start, append=len(place))
     line, column, character = line[start], column[start], character[start]
+    length, column = columns[column + length] - columns[column], columns[column]
 
     # Three tokens a run: where a line begins its colour, the gap before it, the run
     fresh = np.diff(line, prepend=-1) != 0
     gap = column.copy()
     gap[1:] -= np.where(fresh[1:], 0, column[:-1] + length[:-1]).astype(gap.dtype)
-    blanks, heads, factors, select = _tables(width)
+    blanks, heads, factors, select = _tables(int(columns[-1]))
     tokens = np.zeros((len(start), 3), "<u8")
     color = line[fresh] % colors
     next_band = np.diff(line[fresh] // colors, prepend=0) != 0
@@ -164,6 +185,7 @@ SIXEL = Presenter(
     size=size,
     unsupported=unsupported,
     rank=20,
+    fill=fill,
 )
 
 

@@ -8,11 +8,12 @@ from tsplat.terminal.answers import parse_answers
 from tsplat.terminal.choice import choose_presenter
 from tsplat.terminal.device import probe
 from tsplat.terminal.events import Decoder, Event
-from tsplat.terminal.screen import Screen, Terminated
+from tsplat.terminal.screen import Flight, Screen, Terminated
 
 __all__ = [
     "Decoder",
     "Event",
+    "Flight",
     "Screen",
     "Terminated",
     "choose_presenter",

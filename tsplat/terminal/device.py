@@ -86,8 +86,38 @@ def write_all(fd: int, data: bytes, seconds: float | None = None) -> bool:
         except InterruptedError:
             continue
         except BlockingIOError:
-            select.select([], [fd], [])
+            if end is None:
+                select.select([], [fd], [])
     return True
+
+
+def open_patient(fd: int) -> int | None:
+    """The tty of ``fd`` opened anew, so that writes to it never block; None if it cannot be.
+
+    O_NONBLOCK on ``fd`` itself would be everybody's who has the tty from the same shell, and
+    would stay when we are killed.
+    """
+    try:
+        new = os.open(os.ttyname(fd), os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError:
+        return None
+    if os.fstat(new).st_rdev != os.fstat(fd).st_rdev:  # a name of another /dev/pts
+        os.close(new)
+        return None
+    return new
+
+
+def write_some(fd: int, data: memoryview) -> int:
+    """How much of ``data`` the tty took; 0 if it takes nothing just now.
+
+    Raises:
+        OSError: the terminal is gone.
+    """
+    taken = 0
+    with contextlib.suppress(BlockingIOError, InterruptedError):
+        while taken < len(data):
+            taken += os.write(fd, data[taken:])
+    return taken
 
 
 def read_answers(fd: int, seconds: float) -> bytes:

@@ -66,7 +66,8 @@ class Event:
     ``kind`` is "key" (with ``key``), "mouse" (with ``action``, ``button``, ``x``, ``y``,
     ``modifiers``), "resize" (sizes changed or the screen was lost: draw everything again),
     "ready" (the frame sent last was taken), "terminal" (late answers changed what is known of
-    the terminal) or "watched" (there is something to read where :attr:`Screen.watched` points).
+    the terminal), "watched" (there is something to read where :attr:`Screen.watched` points) or
+    whatever another thread has posted.
     """
 
     kind: str

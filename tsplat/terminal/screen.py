@@ -14,7 +14,9 @@ import signal
 import termios
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -37,7 +39,10 @@ PLAIN = b"\x1b[m"
 STATUS_REPORT = b"\x1b[5n"  # DSR, answered CSI 0 n once all before it is done
 
 ESCAPE_SECONDS = 0.05  # a lone ESC older than this is the Escape key
-FRAME_SECONDS = 1.0  # a frame nobody acknowledged is given up
+FRAME_SECONDS = 1.0  # a frame is given up that a terminal has not acknowledged which never did
+PATIENCE_SECONDS = 20.0  # and of one that did: the line is slow, or the network away for a while
+BURST_SECONDS = 0.01  # what ``max_rate`` allows in that time goes at once
+PIECE = 256  # bytes; a tty that can be written to takes so many without a long wait
 LEAVE_SECONDS = 0.15  # for what is still under way when we leave
 NUDGE_SECONDS = 0.02
 GIVE_UPS = 3  # unanswered frames in a row before we stop to ask
@@ -53,6 +58,14 @@ class Terminated(SystemExit):
         self.signum = signum
 
 
+@dataclass(frozen=True)
+class Flight:
+    """How a tracked frame got through."""
+
+    sent: int  # bytes
+    seconds: float  # from the first byte's write until the terminal's answer was here
+
+
 class Screen:
     """The alternate screen in raw mode, cursor hidden, mouse reported; a context manager.
 
@@ -64,6 +77,9 @@ class Screen:
     ``terminal`` None: the terminal is asked on entering, within ``timeout`` s; later answers
     still come in, as the event "terminal". ``cleanup`` is written before the screen is left; a
     presenter's ``clear`` belongs there.
+
+    Frames are written while events are waited for, as fast as the tty takes them: a slow terminal
+    keeps nobody waiting, and what it has not taken can be taken back.
 
     Raises:
         TerminalError: on entering, when there is no terminal.
@@ -80,6 +96,7 @@ class Screen:
     ) -> None:
         self.terminal = terminal or Terminal()
         self.cleanup = b""
+        self.max_rate: float | None = None  # bytes/s of frames at most
         self.watched: int | None = None  # descriptor; the event "watched" while it can be read
         self._asked = terminal is not None
         self._in, self._out, self._mouse, self._timeout = fd_in, fd_out, mouse, timeout
@@ -97,8 +114,16 @@ class Screen:
         self._waiting = False  # in a call that a signal may interrupt
         self._leaving = False
         self._unanswered = self._overdue = self._given_up = 0  # status reports
-        self._sent = self._heard = 0.0  # s, monotonic: last tracked frame, last input
+        # s, monotonic: when the last tracked frame was begun, and written; last input
+        self._begun = self._sent = self._heard = 0.0
+        self._answered = False  # a status report, ever
+        self.flight: Flight | None = None  # of the last frame acknowledged
         self._nudge_at: float | None = None
+        self._patient: int | None = None  # writes to it do not block
+        self._rest: deque[memoryview] = deque()  # output that the tty has not taken yet
+        self._free_at = 0.0  # s, monotonic: when ``max_rate`` lets more of it go
+        self._size = 0  # bytes of the last tracked frame
+        self._posted: deque[Event] = deque()  # by other threads
 
     # --- entering and leaving
 
@@ -117,6 +142,7 @@ class Screen:
         self._install_handlers()
         try:
             self._take()
+            self._patient = device.open_patient(self._out)
             if not self._asked:
                 self._ask()
             self.terminal = resized(self.terminal, device.window_size(self._out))
@@ -135,6 +161,9 @@ class Screen:
         self._restore()
         self._remove_handlers()
         atexit.unregister(self._restore)
+        if self._patient is not None:
+            os.close(self._patient)
+            self._patient = None
         if self._wake is not None:
             for end in self._wake:
                 os.close(end)
@@ -164,10 +193,12 @@ class Screen:
             return
         self._leaving = True
         saved, self._saved = self._saved, None
-        undo = END_UPDATE + STRING_END + self.cleanup + (MOUSE_OFF if self._mouse else b"")
+        undo = STRING_END if self._rest else b""  # of a picture that is sent in part
+        self._rest.clear()
+        undo += END_UPDATE + STRING_END + self.cleanup + (MOUSE_OFF if self._mouse else b"")
         undo += PLAIN + SHOW_CURSOR + LEAVE_ALTERNATE
         try:
-            if device.write_all(self._out, undo + DA1, LEAVE_SECONDS) and self._answering:
+            if device.write_all(self._writable, undo + DA1, LEAVE_SECONDS) and self._answering:
                 device.read_answers(self._in, LEAVE_SECONDS)  # else the shell would get them
         except OSError:
             pass  # the terminal is gone
@@ -248,22 +279,79 @@ class Screen:
     # --- output
 
     def write(self, data: bytes) -> None:
-        """All of ``data``, now.
+        """All of ``data``, now, after what is still to be written.
 
         Raises:
             Terminated: a deadly signal came, or the terminal is gone.
         """
         with self._interruptible():
-            device.write_all(self._out, data)
+            self._rest.append(memoryview(data))
+            while self._rest:
+                self._pump()
+                if self._rest and time.monotonic() < self._free_at:
+                    time.sleep(BURST_SECONDS)
+                elif self._rest:
+                    select.select([], [self._writable], [])
+
+    def _send(self, data: bytes) -> None:
+        """What the tty takes of ``data`` now; the rest goes while events are waited for."""
+        with self._interruptible():
+            self._rest.append(memoryview(data))
+            self._pump()
+
+    @property
+    def _writable(self) -> int:
+        return self._out if self._patient is None else self._patient
+
+    def _pump(self) -> None:
+        """Writes what the tty takes without being waited for, or a piece of it if it must be."""
+        while self._rest:
+            now, part = time.monotonic(), len(self._rest[0])
+            if self.max_rate:
+                if now < self._free_at:
+                    return
+                part = max(PIECE, int(self.max_rate * BURST_SECONDS))
+            first = self._rest.popleft()
+            if self._patient is not None:
+                taken = device.write_some(self._patient, first[:part])
+            elif select.select([], [self._out], [], 0)[1]:
+                taken = device.write_some(self._out, first[: min(part, PIECE)])
+            else:
+                taken = 0
+            if taken < len(first):
+                self._rest.appendleft(first[taken:])
+            if not taken:
+                return
+            if self.max_rate:
+                self._free_at = max(self._free_at, now - BURST_SECONDS) + taken / self.max_rate
+
+    def abandon(self) -> bool:
+        """Ends the frame that is being written where it is. False if all is written already.
+
+        The screen then shows who knows what; the terminal's answer is waited for as ever.
+        """
+        if not self._rest:
+            return False
+        left = sum(len(part) for part in self._rest)
+        self._rest.clear()
+        self._size = max(0, self._size - left)
+        self._send(STRING_END + END_UPDATE + PLAIN + STATUS_REPORT * (self._unanswered > 0))
+        return True
+
+    def post(self, event: Event) -> None:
+        """Puts ``event`` among those that are read, and ends a wait for them. From any thread."""
+        self._posted.append(event)
+        self._wake_up()
 
     def clear(self) -> None:
         """Nothing on the screen, cursor at its top left. Pictures of kitty's go, too."""
-        self.write(CLEAR)
+        self._send(CLEAR)
 
     def draw(self, payload: bytes, track: bool = True) -> None:
-        """One synchronized update in one write, from the top left cell on; b"" writes nothing.
+        """One synchronized update, from the top left cell on; b"" writes nothing.
 
-        With ``track`` the terminal is asked to report when it is through: see ``busy``.
+        Returns at once; what the tty does not take now is written while events are read. With
+        ``track`` the terminal is asked to report when it is through: see ``busy`` and ``flight``.
 
         Raises:
             Terminated: a deadly signal came, or the terminal is gone.
@@ -273,20 +361,26 @@ class Screen:
         data = BEGIN_UPDATE + HOME + payload + END_UPDATE
         now = time.monotonic()
         if not track:
-            self.write(data)
+            self._send(data)
         elif self._answering:
-            self._unanswered, self._sent = self._unanswered + 1, now
-            self.write(data + STATUS_REPORT)
+            self._unanswered, self._sent, self._size = self._unanswered + 1, now, len(data)
+            self._begun = now
+            self._send(data + STATUS_REPORT)
         else:
             self._queue.append(Event("ready"))
-            self.write(data)
+            self._send(data)
         # kitty 0.48 shows a window's first picture only when something follows after a while
         self._nudge_at = time.monotonic() + NUDGE_SECONDS if self.terminal.kitty else None
 
     @property
     def busy(self) -> bool:
         """Whether a tracked frame is still on its way: sending more would only queue up."""
-        return self._unanswered > 0 and time.monotonic() - self._sent < FRAME_SECONDS
+        waits = self._unanswered > 0 and time.monotonic() < self._sent + self._limit
+        return waits or bool(self._rest)
+
+    @property
+    def _limit(self) -> float:
+        return PATIENCE_SECONDS if self._answered else FRAME_SECONDS
 
     # --- input
 
@@ -311,16 +405,27 @@ class Screen:
         """Until input, a signal, ``end`` or the next thing to do by the clock."""
         ends = [t for t in (end, self._nudge_at) if t is not None]
         if self._unanswered:
-            ends.append(self._sent + FRAME_SECONDS)
+            ends.append(self._sent + self._limit)
         if self._decoder.pending:
             ends.append(self._heard + ESCAPE_SECONDS)
+        held_back = bool(self._rest) and time.monotonic() < self._free_at
+        if held_back:
+            ends.append(self._free_at)
+        writable = [self._writable] if self._rest and not held_back else []
         limit = max(0.0, min(ends) - time.monotonic()) if ends else None
         wake = self._wake[0] if self._wake is not None else self._in
         watched = [] if self.watched is None else [self.watched]
-        readable = select.select([self._in, wake, *watched], [], [], limit)[0]
+        readable, writable, _ = select.select([self._in, wake, *watched], writable, [], limit)
         if wake in readable and wake != self._in:
             with contextlib.suppress(BlockingIOError):
                 os.read(wake, READ_SIZE)
+        while self._posted:
+            self._queue.append(self._posted.popleft())
+        if writable or held_back:
+            self._pump()
+            if not self._rest and not self._unanswered:
+                self._queue.append(Event("ready"))
+            self._sent = time.monotonic()  # the terminal's time begins when it has everything
         if self._in in readable:
             with contextlib.suppress(BlockingIOError):
                 data = os.read(self._in, READ_SIZE)
@@ -337,9 +442,13 @@ class Screen:
                 self._queue.append(event)
             elif self._overdue:
                 self._overdue -= 1  # of a frame given up
+                self._answered = self._answering = True
+                self._given_up = 0
             elif self._unanswered:
                 self._unanswered, self._given_up = self._unanswered - 1, 0
+                self._answered = True
                 if not self._unanswered:
+                    self.flight = Flight(self._size, self._heard - self._begun)
                     self._queue.append(event)
         if answers := bytes(self._decoder.answers):
             self._decoder.answers.clear()
@@ -355,14 +464,14 @@ class Screen:
         if self._decoder.pending and now >= self._heard + ESCAPE_SECONDS:
             self._queue += self._decoder.flush()
             self._heard = now
-        if self._unanswered and now >= self._sent + FRAME_SECONDS:
+        if self._unanswered and now >= self._sent + self._limit:
             self._overdue, self._unanswered = self._overdue + self._unanswered, 0
             self._given_up += 1
             self._answering = self._given_up < GIVE_UPS
             self._queue.append(Event("ready"))
         if self._nudge_at is not None and now >= self._nudge_at:
             self._nudge_at = None
-            self.write(PLAIN)
+            self._send(PLAIN)
 
     def _deal_with_notes(self) -> None:
         noted, self._noted = self._noted, set()
@@ -370,7 +479,8 @@ class Screen:
             self.suspend()
         elif signal.SIGCONT in noted:  # after a SIGSTOP, which nobody can catch
             device.set_raw(self._in)
-            device.write_all(self._out, ENTER_ALTERNATE)
+            device.write_all(self._out, (STRING_END if self._rest else b"") + ENTER_ALTERNATE)
+            self._rest.clear()
             self._again()
         elif signal.SIGWINCH in noted:
             self._resize()

@@ -57,6 +57,15 @@ def decoded(decode: Decoder, data: bytes, terminal: Terminal) -> Decoded:
     return result if isinstance(result, Decoded) else Decoded(result)
 
 
+def _scaled(picture: U8, width: int, height: int) -> U8:
+    """To ``width`` x ``height`` px, each with the colour that lies under its centre."""
+    if min(width, height) < 1:
+        raise ContractError(f"a picture scaled to {width}x{height} px")
+    y = (2 * np.arange(height) + 1) * len(picture) // (2 * height)
+    x = (2 * np.arange(width) + 1) * picture.shape[1] // (2 * width)
+    return picture[y][:, x]
+
+
 class _Canvas:
     """Pictures painted over each other from the top left corner on."""
 
@@ -191,6 +200,14 @@ def kitty(data: bytes, terminal: Terminal) -> Decoded:
             if keys.get("C") != "1":
                 faults.append("C=1 is missing: the cursor moves, and a full screen scrolls")
             pixels = _kitty_pixels(keys, payload)
+            if "c" in keys or "r" in keys:
+                if not (keys.get("c", "").isdigit() and keys.get("r", "").isdigit()):
+                    raise ContractError("c and r: Konsole needs both, as numbers")
+                width, height = (
+                    int(keys["c"]) * terminal.cell_width,
+                    int(keys["r"]) * terminal.cell_height,
+                )
+                pixels = _scaled(pixels, int(width), int(height))
             # Data for an id that is there already delete its placements first
             shown = {place: p for place, p in shown.items() if place[0] != image or image == "0"}
             shown[image, keys.get("p", str(len(shown)))] = pixels
@@ -235,20 +252,21 @@ def iterm2(data: bytes, terminal: Terminal) -> Decoded:
     """Pictures painted over each other, each from the top left corner on.
 
     Also demanded: inline=1, or it is a download; size in bytes, or VS Code shows nothing; width and
-    height in px as the file has them, so that nothing is scaled; doNotMoveCursor=1, or Konsole
-    scrolls.
+    height in px as the file has them, so that nothing is scaled, or those of all rows but the last
+    and preserveAspectRatio=0 (to Konsole 1: it has them the other way round), so that nothing is
+    left out; doNotMoveCursor=1, or Konsole scrolls.
     """
     faults: list[str] = []
     canvas = _Canvas()
     for keys, file in iterm2_files(data):
         picture = _picture_file(file, ("JPEG", "PNG", "GIF"))
-        wanted = {
-            "inline": "1",
-            "size": str(len(file)),
-            "width": f"{picture.shape[1]}px",
-            "height": f"{len(picture)}px",
-            "doNotMoveCursor": "1",
-        }
+        wanted = {"inline": "1", "size": str(len(file)), "doNotMoveCursor": "1"}
+        if "preserveAspectRatio" in keys:
+            picture = _scaled(picture, *terminal.pixels)
+            konsole = terminal.name.startswith("Konsole")
+            wanted["preserveAspectRatio"] = "1" if konsole else "0"
+        wanted["width"] = f"{picture.shape[1]}px"
+        wanted["height"] = f"{len(picture)}px"
         for key, value in wanted.items():
             if keys.get(key) != value:
                 faults.append(f"{key}: expected {value}, got {keys.get(key, 'nothing')}")

@@ -19,7 +19,10 @@ With a decoder, which reads the bytes as a terminal would:
 - stream: it can read them, and no rule of the protocol is broken;
 - shape: the picture shown is as large as the frame;
 - picture: it is the frame's, as near as the protocol's bound says;
-- changes: bytes for a screen that shows another frame lead to this one as well.
+- changes: bytes for a screen that shows another frame lead to this one as well;
+- fill, of a presenter that offers it: a frame of fewer pixels is shown as large as one of
+  ``size``, the middle of each of its pixels in its colour, whatever was shown before; and what
+  ``controls``, ``pure`` and ``rounding`` say holds for it, too.
 
 Not checked: whether a real terminal agrees with the decoder, and how long encoding takes.
 """
@@ -48,6 +51,8 @@ from tsplat.testing.stream import HOME, area_faults
 
 TRUECOLOR = 1 << 24
 SIZE_MAX = 2000  # px; a presenter that wants more of a small screen is told so by check_size
+
+SMOOTH_MIN = 8  # px each way, of a picture of fewer pixels
 
 
 @dataclass(frozen=True)
@@ -206,6 +211,7 @@ class Showing:
     frame: Frame
     before: Frame  # as large
     kind: str  # of the frame, one of KINDS
+    few: Frame  # no larger than it: what a moving picture may be
 
     def __repr__(self) -> str:
         return f"{self.kind}, {self.frame.width}x{self.frame.height} px, on {self.terminal}"
@@ -237,9 +243,11 @@ def _showings(
         other[:, seed % size[0]] ^= 255
     elif earlier == "another":
         other = make_pixels(seed + 1, draw(st.sampled_from(KINDS)), *size, terminal.colors)
+    fewer = 1 + seed % size[0], 1 + seed // SIZE_MAX % size[1]
+    few = make_pixels(seed + 3, kind, *fewer, terminal.colors)
     return Showing(
         terminal, make_frame(pixels, seed, disguise), make_frame(other, seed + 2, "plain"),
-        kind,
+        kind, make_frame(few, seed + 4, disguise),
     )  # fmt: skip
 
 
@@ -400,6 +408,51 @@ def check_changes(presenter: Presenter, decoding: Decoding, case: Showing) -> Ve
     return _judge("changes", decoding, case, shown)
 
 
+def check_fill(presenter: Presenter, decoding: Decoding, case: Showing) -> Verdict:
+    """See the module."""
+    if presenter.fill is None:
+        return Verdict("fill", ())
+    filling = replace(presenter, encode=presenter.fill, fill=None)
+    # A smooth picture of a handful of pixels is not smooth: no promise is made of it
+    steep = case.kind == "smooth" and min(case.few.width, case.few.height) < SMOOTH_MIN
+    before = make_frame(255 - case.few.to_uint8(), 1, "plain")
+    kind = "noise" if steep else case.kind
+    small = replace(case, frame=case.few, before=before, kind=kind)
+    faults: list[str] = []
+    for name in ("controls", "pure", "rounding"):
+        faults += BYTES_ALONE[name](filling, small).faults
+    large, few = case.frame, case.few
+    ways = {
+        "an empty screen": filling.encode(few, case.terminal, None),
+        "one of full size": presenter.encode(large, case.terminal, None)
+        + HOME + filling.encode(few, case.terminal, large),
+        "another of fewer pixels": filling.encode(small.before, case.terminal, None)
+        + HOME + filling.encode(few, case.terminal, small.before),
+    }  # fmt: skip
+    for after, data in ways.items():
+        shown = decoded(decoding.decode, HOME + data, case.terminal)
+        faults += shown.faults
+        if shown.picture.shape != (large.height, large.width, 3):
+            faults.append(
+                f"after {after}: expected {large.width}x{large.height} px, shown is "
+                f"{list(shown.picture.shape)}"
+            )
+            continue
+        y, x = (
+            (2 * np.arange(n) + 1) * m // (2 * n)
+            for n, m in ((few.height, large.height), (few.width, large.width))
+        )
+        picture = Decoded(np.ascontiguousarray(shown.picture[y][:, x]))
+        faults += (
+            f"after {after}: {fault}" for fault in _judge("fill", decoding, small, picture).faults
+        )
+    back = filling.encode(few, case.terminal, None) + HOME
+    back += presenter.encode(large, case.terminal, few)
+    shown = decoded(decoding.decode, HOME + back, case.terminal)
+    faults += (f"full size after few: {f}" for f in _judge("fill", decoding, case, shown).faults)
+    return Verdict("fill", tuple(dict.fromkeys(faults)))
+
+
 _WAYS: dict[str, Callable[[U8], U8]] = {
     "mirrored": lambda p: p[:, ::-1],
     "upside down": lambda p: p[::-1],
@@ -456,6 +509,7 @@ DECODED = {
     "shape": check_shape,
     "picture": check_picture,
     "changes": check_changes,
+    "fill": check_fill,
 }
 
 
@@ -465,7 +519,7 @@ def presenter_checks(
     max_examples: int = 100,
     screens: st.SearchStrategy[Terminal] | None = None,
 ) -> list[Check]:
-    """The checks of ``presenter``: four, or eight with a decoder of its bytes.
+    """The checks of ``presenter``: four, or eight with a decoder of its bytes; one for ``fill``.
 
     ``decode`` alone promises the frame's 8-bit picture exactly; :class:`Decoding` states another
     bound. The built-in presenters' are :data:`DECODINGS`, and whoever uses such a protocol may take
@@ -480,7 +534,10 @@ def presenter_checks(
         assert decoding is not None
         return lambda case: DECODED[name](presenter, decoding, case)
 
-    for name in (*BYTES_ALONE, *(DECODED if decoding is not None else ())):
+    names = [*BYTES_ALONE, *(DECODED if decoding is not None else ())]
+    if presenter.fill is None and decoding is not None:
+        names.remove("fill")
+    for name in names:
         functions[name] = bind(name)
 
     cases = _showings(presenter, terminals() if screens is None else screens)

@@ -1,0 +1,148 @@
+"""How many pixels a moving picture has, and how often a new one is begun.
+
+A level is a share of the pixels each way. What a frame takes is remembered by level: of render,
+encode and flight (from the first byte written to the terminal's answer) the slowest, or half of
+all three if that is more. If it is no more than a frame's time, the stages keep up with each other,
+and a key's picture is there within three frames' time: one until the next frame is begun, two for
+the stages.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from statistics import median_low
+
+LEVELS = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125)
+SHORTEST = 32  # px: no level makes a side shorter that is not so already
+PREVIEW = 80_000  # px of the first picture, when nothing is known of link and scene
+SAMPLES = 3  # of a level: their median counts, so that one hiccup does not
+STALE_SECONDS = 5.0  # for what was measured before: another view, another load
+FORGOTTEN = 5  # times as old
+HEADROOM = 0.8  # of a frame's time, at which a finer level is tried
+GAIN = 1.35  # a level is left for coarser ones only if it takes so much longer than the coarsest
+REGAIN = 1.2  # and come back to if it takes no more than that
+PATIENCE = 0.5  # s, for the next step of a picture that stands still
+LINK_SAMPLES = 8
+
+
+@dataclass
+class _Level:
+    pixels: int
+    loads: deque[float] = field(default_factory=lambda: deque(maxlen=SAMPLES))  # s
+    noted: float = 0.0  # s, of the clock
+
+
+@dataclass(frozen=True)
+class Link:
+    """How frames got to the terminal."""
+
+    seconds: float  # a frame, until the terminal answered
+    rate: float  # bytes/s
+
+
+class Pace:
+    """The level of moving pictures of ``size`` px, so that there are ``fps`` of them in a second.
+
+    0 is the full size. ``clock`` is in s.
+    """
+
+    def __init__(
+        self, size: tuple[int, int], fps: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.period, self._clock, self._size = 1 / fps, clock, size
+        shares = [s for s in LEVELS if s == 1 or min(size) * s >= SHORTEST]
+        self._shares = tuple(shares)
+        self._levels = [_Level(w * h) for w, h in map(self.size, range(len(shares)))]
+        self._link: deque[tuple[int, float]] = deque(maxlen=LINK_SAMPLES)
+        small = [n for n, level in enumerate(self._levels) if level.pixels <= PREVIEW]
+        self.level = small[0] if small else len(shares) - 1
+
+    def size(self, level: int) -> tuple[int, int]:
+        """(width, height) in px of a picture at ``level``."""
+        width, height = (max(1, round(n * self._shares[level])) for n in self._size)
+        return width, height
+
+    def note(self, level: int, render: float, encode: float, flight: float, sent: int) -> None:
+        """A frame was shown: s of its stages, bytes sent. Chooses the level of the next."""
+        stages = render, encode, flight
+        row = self._levels[level]
+        if self._age(row) > 1:
+            row.loads.clear()
+        row.loads.append(max(*stages, sum(stages) / 2))
+        row.noted = self._clock()
+        self._link.append((sent, flight))
+        self._choose()
+
+    def _age(self, row: _Level) -> float:
+        """How often what is known of ``row`` went stale."""
+        return (self._clock() - row.noted) / STALE_SECONDS
+
+    def _known(self) -> list[tuple[int, float]]:
+        """(pixels, s) of the levels that something is known of, the fewest pixels first.
+
+        What was measured long ago of finer levels is believed less and less, so that they are
+        tried again; of coarser ones it is forgotten.
+        """
+        rows = [row for row in self._levels if row.loads]
+        last = max(rows, key=lambda row: row.noted, default=None)
+        known = []
+        for row in rows:
+            seconds, stale = median_low(row.loads), self._age(row) - 1
+            if last is not None and row is not last and stale > 0:
+                if row.pixels < last.pixels:
+                    if stale < FORGOTTEN:
+                        known.append((row.pixels, seconds))
+                    continue
+                now = median_low(last.loads)
+                seconds = now + max(0.0, seconds - now) * 0.5**stale
+            known.append((row.pixels, seconds))
+        return sorted(known)
+
+    def load(self, level: int) -> float:
+        """Seconds that a frame at ``level`` should take: on the line through the two nearest.
+
+        In proportion to the pixels if there are no two, and below the coarsest that is known: what
+        does not depend on the pixels shows only there.
+        """
+        known, pixels = self._known(), self._levels[level].pixels
+        if not known:
+            return 0.0
+        if len(known) == 1 or pixels < known[0][0]:
+            return known[0][1] * pixels / known[0][0]
+        near = sorted(sorted(known, key=lambda point: abs(point[0] - pixels))[:2])
+        (few, fast), (many, slow) = near
+        slope = max(0.0, (slow - fast) / (many - few))
+        return max(0.0, fast + slope * (pixels - few))
+
+    def _choose(self) -> None:
+        loads = [self.load(n) for n in range(len(self._levels))]
+        stays = max(self.period, GAIN * loads[-1])
+        rises = max(HEADROOM * self.period, REGAIN * loads[-1])
+        for level, seconds in enumerate(loads):
+            if seconds <= (stays if level >= self.level else rises):
+                self.level = level
+                return
+
+    def interval(self, level: int) -> float:
+        """Seconds from one frame's begin to the next one's: no more are begun than get through."""
+        return max(self.period, self.load(level))
+
+    def finer(self, level: int) -> int | None:
+        """What follows ``level`` in a picture that stands still; None after the full size.
+
+        The full size if that is soon there, else what is; a finer one in any case.
+        """
+        if level == 0:
+            return None
+        return next((n for n in range(level) if self.load(n) <= PATIENCE), level - 1)
+
+    @property
+    def link(self) -> Link | None:
+        """Of the last frames; None if nothing is known."""
+        seconds = sum(flight for _, flight in self._link)
+        if seconds <= 0:
+            return None
+        return Link(seconds / len(self._link), sum(sent for sent, _ in self._link) / seconds)
