@@ -220,12 +220,35 @@ def test_resizing_keeps_the_cell():
     assert resized(terminal, (40, 120, 0, 0)).cell_width == 10
 
 
-def test_questions_end_with_da1():
-    """DA1 comes last, once; no sixel, no picture and no medium but the escape itself is tried."""
-    assert QUESTIONS.endswith(b"\x1b[c")
-    assert QUESTIONS.count(b"\x1b[c") == 1
+def test_questions_are_only_asked():
+    """Nothing is tried out on the screen: kitty's question is a query, and there is no sixel."""
     assert b"a=q" in QUESTIONS
+    assert b"a=T" not in QUESTIONS
     assert b"t=s" not in QUESTIONS
+    assert b"\x1b[c" not in QUESTIONS
+
+
+@pytest.mark.parametrize(
+    ("said", "media"),
+    [
+        (b"32;OK", "s"),
+        (b"33;OK", "t"),
+        (b"32;ENOTSUPPORTED:", ""),
+        (b"32;OK\x1b\\\x1b_Gi=33;OK", "st"),
+        (b"132;OK", ""),
+    ],
+)
+def test_media(said, media):
+    """Each medium by the answer to its own question; an error is none."""
+    answers = OK + b"\x1b_Gi=" + said + b"\x1b\\\x1b[?62c"
+    assert parse_answers(answers, {}, WINSIZE).media == media
+
+
+@pytest.mark.parametrize("name", ["SSH_CONNECTION", "SSH_TTY", "SSH_CLIENT"])
+def test_remote(name):
+    """Any of sshd's variables says that a network is in between."""
+    assert parse_answers(b"", {name: "x"}, WINSIZE).remote
+    assert not parse_answers(b"", {name: ""}, WINSIZE).remote
 
 
 @given(st.binary(max_size=200))

@@ -1,6 +1,7 @@
 """Asking a terminal what it is takes one write, little time, and leaves nothing behind."""
 
 import os
+import re
 import time
 
 from fakes import DA1, FakeTerminal
@@ -19,7 +20,14 @@ def test_answers_and_typed_text():
         assert (facts.name, facts.sixel, facts.columns) == ("foot(1.28.0)", True, 80)
         assert typed == b"ls"
         terminal.settle()
-        assert terminal.output == b"\x1b[?1049h" + QUESTIONS + b"\x1b[?1049l"
+        begin, end = b"\x1b[?1049h" + QUESTIONS, b"\x1b[c\x1b[?1049l"
+        assert terminal.output.startswith(begin)
+        assert terminal.output.endswith(end)
+        media = terminal.output[len(begin) : -len(end)]
+        assert set(re.findall(rb"\x1b_Gi=(?:32|33),[a-z0-9=,]*,t=([a-z]),f=24;", media)) <= {
+            b"s",
+            b"t",
+        }
         assert terminal.mode() == terminal.saved
 
 

@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # tsplat.terminal needs Terminal, but not NumPy
     from tsplat.core.types import U8, Frame
+
+    Buffer = bytes | memoryview
+else:
+    Buffer = object
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Bytes left where a terminal on the same machine finds them."""
+
+    medium: str  # "s": POSIX shared memory, "t": a temporary file; kitty's letters
+    name: bytes  # base64 of its name
 
 
 @dataclass(frozen=True)
@@ -28,6 +40,11 @@ class Terminal:
     name: str = ""  # what it calls itself (XTVERSION), printable
     multiplexer: str = ""  # "tmux" or "screen" when one is in between
     tty: bool = True  # False: output is not a terminal
+    remote: bool = False  # a network is in between: bytes are dear
+    media: str = ""  # kitty's letters of what it said it can read: "s", "t"
+    share: Callable[[Buffer], Shared | None] | None = field(default=None, compare=False, repr=False)
+    """Leaves bytes where the terminal finds them; None, or returns None, where that is not to be
+    had. The one thing here that is no plain fact: presenters without it send all bytes."""
 
     @property
     def pixels(self) -> tuple[int, int]:

@@ -1,16 +1,18 @@
 """kitty's graphics protocol (https://sw.kovidgoyal.net/kitty/graphics-protocol/).
 
 Every frame goes under the same image and placement id, so that it takes the last one's place;
-inside a synchronized update no terminal shows the moment in between. Its bytes are in the escape
-sequence itself (t=d), which works over ssh and in every terminal that has the protocol.
+inside a synchronized update no terminal shows the moment in between.
+
+Where the terminal reads our memory the frame goes there, untouched. Else its bytes are in the
+escape sequence itself (t=d): bare on this machine, where bytes cost less than squeezing them, and
+as a PNG over a network.
 """
 
 from __future__ import annotations
 
-import zlib
 from binascii import b2a_base64
 
-from tsplat.core.types import Frame
+from tsplat.core.types import U8, Frame
 from tsplat.hookspecs import hookimpl
 from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures
 
@@ -19,25 +21,41 @@ ST = b"\x1b\\"  # String Terminator
 CHUNK = 4096  # bytes of base64 in one sequence, at most
 IMAGE_ID = 0x7473706C  # "tspl"; below 2^31, because Konsole reads ids as signed
 PLACEMENT_ID = 1
-ZLIB_LEVEL = 1  # 640x360: 10 ms; level 6 takes 46 ms for 1 % less
 
 
 def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
-    """The frame as zlib-compressed RGB in chunks; b"" if it looks like ``previous``.
+    """The frame, exactly; b"" if it looks like ``previous``.
 
-    The first chunk has all keys and data: xterm.js refuses one without. C=1 leaves the cursor
-    where it is, so that nothing scrolls; q=2 asks for no answer.
+    C=1 leaves the cursor where it is, so that nothing scrolls; q=2 asks for no answer.
     """
     image = frame.to_uint8()
     if not changed(image, previous):
         return b""
-    data = b2a_base64(zlib.compress(image.data, ZLIB_LEVEL), newline=False)
-    keys = b"a=T,f=24,o=z,s=%d,v=%d,i=%d,p=%d,C=1,q=2," % (
-        frame.width,
-        frame.height,
-        IMAGE_ID,
-        PLACEMENT_ID,
-    )
+    keys, data = transmission(image, terminal)
+    return in_chunks(b"a=T,i=%d,p=%d,C=1,q=2,%s" % (IMAGE_ID, PLACEMENT_ID, keys), data)
+
+
+def transmission(image: U8, terminal: Terminal) -> tuple[bytes, bytes]:
+    """How ``image`` [H, W, 3] gets to the terminal: keys, and the base64 payload."""
+    height, width = image.shape[:2]
+    if terminal.share and (shared := terminal.share(image.data)):
+        keys = b"f=24,s=%d,v=%d,t=%s,S=%d" % (
+            width, height, shared.medium.encode(), image.nbytes,
+        )  # fmt: skip
+        return keys, shared.name
+    if terminal.remote:
+        from tsplat.presenters.png import png
+
+        return b"f=100", b2a_base64(png(image), newline=False)
+    return b"f=24,s=%d,v=%d" % (width, height), b2a_base64(image.data, newline=False)
+
+
+def in_chunks(keys: bytes, data: bytes) -> bytes:
+    """A command whose base64 payload may be long. The first chunk has all keys and data.
+
+    xterm.js refuses a first chunk without data.
+    """
+    keys += b","
     parts: list[bytes] = []
     for start in range(0, len(data), CHUNK):
         more = start + CHUNK < len(data)

@@ -21,10 +21,12 @@ from math import isfinite
 
 from tsplat.core.errors import printable
 from tsplat.presenters.base import Terminal
+from tsplat.terminal.sharing import QUESTION_IDS, is_remote
 
 Winsize = tuple[int, int, int, int]  # rows, columns, xpixel, ypixel as TIOCGWINSZ has them
 
 DA1 = b"\x1b[c"
+KITTY_ID = 31
 QUESTIONS = (
     b"\x1b_Gi=31,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\"  # kitty graphics: one pixel, not kept
     b"\x1b[>q"  # XTVERSION
@@ -33,8 +35,9 @@ QUESTIONS = (
     b"\x1b[?1;1;0S\x1b[?2;4;0S"  # XTSMGRAPHICS: registers now, largest sixel picture
     b"\x1b]1337;ReportCellSize\x1b\\"
     b"\x1bP+q524742\x1b\\\x1bP+q5463\x1b\\"  # XTGETTCAP: RGB, Tc
-    b"\x1b[48;2;1;2;3m\x1bP$qm\x1b\\\x1b[m" + DA1  # DECRQSS: is a 24-bit colour kept?
+    b"\x1b[48;2;1;2;3m\x1bP$qm\x1b\\\x1b[m"  # DECRQSS: is a 24-bit colour kept?
 )
+"""All but those about media, which name objects made for the purpose, and DA1, which ends them."""
 
 DA1_ANSWER = re.compile(rb"\x1b\[\?([0-9;]*)c")
 _ANSWER = re.compile(
@@ -45,7 +48,7 @@ _ANSWER = re.compile(
     rb"|\x1b\][^\x1b\x07]*(?:\x1b\\|\x07)"  # OSC
 )
 _XTVERSION = re.compile(rb"\x1bP>\|([^\x1b]*)\x1b\\")
-_KITTY_OK = re.compile(rb"\x1b_Gi=31[^;\x1b]*;OK\x1b\\")
+_KITTY_OK = re.compile(rb"\x1b_Gi=([0-9]{1,9})[^;\x1b]*;OK\x1b\\")
 _SYNCHRONIZED = re.compile(rb"\x1b\[\?2026;([0-9]+)\$y")
 _AREA = re.compile(rb"\x1b\[4;([0-9]{1,6});([0-9]{1,6})t")
 _CELL = re.compile(rb"\x1b\[6;([0-9]{1,6});([0-9]{1,6})t")
@@ -87,9 +90,10 @@ def parse_answers(answers: bytes, environ: Mapping[str, str], winsize: Winsize) 
     registers = _REGISTERS.search(answers)
     geometry = _GEOMETRY.search(answers)
     sync = _SYNCHRONIZED.search(answers)
+    kitty_ok = {int(number) for number in _KITTY_OK.findall(answers)}
     terminal = Terminal(
         colors=_colors(answers, said, mux, environ),
-        kitty=_KITTY_OK.search(answers) is not None,
+        kitty=KITTY_ID in kitty_ok,
         iterm2=not mux and _has_iterm2(answers, said, environ),
         sixel=b"4" in attributes,
         sixel_registers=max(2, int(registers.group(1))) if registers else 256,
@@ -97,6 +101,8 @@ def parse_answers(answers: bytes, environ: Mapping[str, str], winsize: Winsize) 
         synchronized=sync is not None and sync.group(1) in (b"1", b"2", b"3"),
         name=said or _name_by_environment(environ),
         multiplexer=mux,
+        remote=is_remote(environ),
+        media="".join(medium for medium, n in QUESTION_IDS.items() if n in kitty_ok),
     )
     return _sized(terminal, _with_answers(winsize, answers, environ), _cell(answers))
 

@@ -14,12 +14,14 @@ from typing import Any
 
 from tsplat.presenters.base import Terminal
 from tsplat.terminal.answers import (
+    DA1,
     DA1_ANSWER,
     QUESTIONS,
     Winsize,
     parse_answers,
     split_answers,
 )
+from tsplat.terminal.sharing import Sharing
 
 PROBE_SECONDS = 0.15
 ENTER_ALTERNATE = b"\x1b[?1049h"
@@ -109,9 +111,9 @@ def read_answers(fd: int, seconds: float) -> bytes:
     return data
 
 
-def ask(fd_in: int, fd_out: int, seconds: float) -> bytes:
-    """What a raw tty sends back when asked all ``QUESTIONS`` at once, typed keys included."""
-    write_all(fd_out, QUESTIONS, seconds)
+def ask(fd_in: int, fd_out: int, sharing: Sharing, seconds: float) -> bytes:
+    """What a raw tty sends back when asked all questions at once, typed keys included."""
+    write_all(fd_out, QUESTIONS + sharing.question() + DA1, seconds)
     return read_answers(fd_in, seconds)
 
 
@@ -129,10 +131,10 @@ def probe(
     """
     if not can_show(fd_in, fd_out, environ):
         return Terminal(tty=False), b""
-    with raw_mode(fd_in):
+    with raw_mode(fd_in), contextlib.closing(Sharing(environ)) as sharing:
         write_all(fd_out, ENTER_ALTERNATE)
         try:
-            data = ask(fd_in, fd_out, timeout)
+            data = ask(fd_in, fd_out, sharing, timeout)
         finally:
             write_all(fd_out, LEAVE_ALTERNATE)
     answers, typed = split_answers(data)

@@ -24,6 +24,7 @@ from tsplat.terminal import device
 from tsplat.terminal.answers import DA1, DA1_ANSWER, parse_answers, resized, split_answers
 from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, PROBE_SECONDS, READ_SIZE
 from tsplat.terminal.events import Decoder, Event
+from tsplat.terminal.sharing import Sharing
 
 BEGIN_UPDATE = b"\x1b[?2026h"  # BSU: unknown to some, harmless to all; Konsole has it untold
 END_UPDATE = b"\x1b[?2026l"  # ESU
@@ -84,6 +85,7 @@ class Screen:
         self._asked = terminal is not None
         self._in, self._out, self._mouse, self._timeout = fd_in, fd_out, mouse, timeout
         self._environ = os.environ if environ is None else environ
+        self._sharing = Sharing(self._environ)
         self._decoder = Decoder()
         self._queue: list[Event] = []
         self._said = b""  # answers so far, kept while the last is missing
@@ -152,11 +154,18 @@ class Screen:
         device.write_all(self._out, HIDE_CURSOR + (MOUSE_ON if self._mouse else b"") + CLEAR)
 
     def _ask(self) -> None:
-        data = device.ask(self._in, self._out, self._timeout)
+        data = device.ask(self._in, self._out, self._sharing, self._timeout)
         self._said, typed = split_answers(data)
         self._answering = DA1_ANSWER.search(self._said) is not None
-        self.terminal = parse_answers(self._said, self._environ, device.window_size(self._out))
+        self._understand()
         self._queue += self._decoder.feed(typed)
+
+    def _understand(self) -> None:
+        """The terminal's facts from what it has said so far."""
+        size = device.window_size(self._out)
+        self.terminal = self._sharing.shared_by(parse_answers(self._said, self._environ, size))
+        if self._answering:
+            self._sharing.close()  # of what was asked, all that will be taken has been
 
     def _restore(self) -> None:
         """Everything as it was; harmless when it is already, and in a forked child."""
@@ -172,6 +181,7 @@ class Screen:
         except OSError:
             pass  # the terminal is gone
         finally:
+            self._sharing.close()
             device.set_attributes(self._in, saved)
             self._leaving = False
 
@@ -346,8 +356,8 @@ class Screen:
             if not self._answering:
                 self._said += answers
                 if DA1_ANSWER.search(self._said):  # at last
-                    self._answering, size = True, device.window_size(self._out)
-                    self.terminal = parse_answers(self._said, self._environ, size)
+                    self._answering = True
+                    self._understand()
                     self._queue.append(Event("terminal"))
 
     def _on_time(self) -> None:
