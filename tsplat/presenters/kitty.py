@@ -4,8 +4,8 @@ Every frame goes under the same image and placement id, so that it takes the las
 inside a synchronized update no terminal shows the moment in between.
 
 Where the terminal reads our memory the frame goes there, untouched. Else its bytes are in the
-escape sequence itself (t=d): bare on this machine, where bytes cost less than squeezing them, and
-as a PNG over a network.
+escape sequence itself (t=d), as a PNG: that costs us more than bare pixels, but the terminal less,
+even without a network in between (Konsole takes a 640x360 PNG in a third of the time).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from binascii import b2a_base64
 from tsplat.core.types import U8, Frame
 from tsplat.hookspecs import hookimpl
 from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures
+from tsplat.presenters.png import png
 
 APC = b"\x1b_G"  # Application Program Command; G for graphics
 ST = b"\x1b\\"  # String Terminator
@@ -37,17 +38,13 @@ def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
 
 def transmission(image: U8, terminal: Terminal) -> tuple[bytes, bytes]:
     """How ``image`` [H, W, 3] gets to the terminal: keys, and the base64 payload."""
-    height, width = image.shape[:2]
     if terminal.share and (shared := terminal.share(image.data)):
+        height, width = image.shape[:2]
         keys = b"f=24,s=%d,v=%d,t=%s,S=%d" % (
             width, height, shared.medium.encode(), image.nbytes,
         )  # fmt: skip
         return keys, shared.name
-    if terminal.remote:
-        from tsplat.presenters.png import png
-
-        return b"f=100", b2a_base64(png(image), newline=False)
-    return b"f=24,s=%d,v=%d" % (width, height), b2a_base64(image.data, newline=False)
+    return b"f=100", b2a_base64(png(image), newline=False)
 
 
 def in_chunks(keys: bytes, data: bytes) -> bytes:
