@@ -90,6 +90,8 @@ class FakeTerminal:
                 except OSError:
                     return
             for at in range(seen, len(self.output)):
+                if self.output[at - 1 : at] == b"\x1b":
+                    continue  # an ESC doubled for what is around tmux
                 if self.output.startswith(b"\x1b[c", at) and self.delay is not None:
                     self._due.append((time.monotonic() + self.delay, self.extra + DA1))
                 if self.output.startswith(b"\x1b[5n", at) and self.reports:

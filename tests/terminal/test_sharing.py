@@ -103,19 +103,19 @@ def test_no_room(memory, monkeypatch):
 def test_believed_only_when_taken(memory, said, took, medium):
     """A medium is used if the terminal said OK and the object is gone; shared memory first."""
     sharing = Sharing({}, memory)
-    take(sharing.question(), memory, took)
+    take(b"".join(sharing.questions()), memory, took)
     share = sharing.shared_by(Terminal(media=said)).share
     assert (share(b"x").medium if share else None) == medium
 
 
 def test_questions(memory):
     """Both are queries of their own id about one pixel that is there; none over ssh."""
-    question = Sharing({}, memory).question()
+    question = b"".join(Sharing({}, memory).questions())
     for medium, number in QUESTION_IDS.items():
         assert b"\x1b_Gi=%d,s=1,v=1,a=q,t=%s,f=24;" % (number, medium.encode()) in question
     assert len(left(memory)) == 2
     assert all(p.stat().st_size == 3 for p in memory.iterdir())
-    assert Sharing({"SSH_TTY": "/dev/pts/3"}, memory).question() == b""
+    assert Sharing({"SSH_TTY": "/dev/pts/3"}, memory).questions() == []
     assert len(left(memory)) == 2
 
 

@@ -41,6 +41,9 @@ class Terminal:
     multiplexer: str = ""  # "tmux" or "screen" when one is in between
     tty: bool = True  # False: output is not a terminal
     remote: bool = False  # a network is in between: bytes are dear
+    around: str = ""  # name of the terminal around tmux, if tmux lets a question through to it
+    placeholders: bool = False  # knows kitty's cells that stand for parts of a picture
+    advice: str = ""  # what the user can do to see better pictures
     media: str = ""  # kitty's letters of what it said it can read: "s", "t"
     share: Callable[[Buffer], Shared | None] | None = field(default=None, compare=False, repr=False)
     """Leaves bytes where the terminal finds them; None, or returns None, where that is not to be
@@ -86,7 +89,7 @@ def no_pictures(terminal: Terminal) -> str | None:
     if not terminal.tty:
         return "the output is not a terminal"
     if terminal.multiplexer:
-        return f"{terminal.multiplexer} does not let pictures through by itself"
+        return terminal.advice or f"{terminal.multiplexer} does not let pictures through"
     return None
 
 

@@ -6,15 +6,23 @@ inside a synchronized update no terminal shows the moment in between.
 Where the terminal reads our memory the frame goes there, untouched. Else its bytes are in the
 escape sequence itself (t=d), as a PNG: that costs us more than bare pixels, but the terminal less,
 even without a network in between (Konsole takes a 640x360 PNG in a third of the time).
+
+Inside tmux the frame goes past it, under an id of its own, and cells of text stand for its parts;
+they are written once, and show whatever the id stands for by then.
 """
 
 from __future__ import annotations
 
 from binascii import b2a_base64
+from collections.abc import Iterator
+from dataclasses import replace
+from math import ceil
 
 from tsplat.core.types import U8, Frame
 from tsplat.hookspecs import hookimpl
 from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures
+from tsplat.presenters.placeholders import IMAGE_ID as TMUX_ID
+from tsplat.presenters.placeholders import MARKS, cells, through_tmux
 from tsplat.presenters.png import png
 
 APC = b"\x1b_G"  # Application Program Command; G for graphics
@@ -33,7 +41,34 @@ def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     if not changed(image, previous):
         return b""
     keys, data = transmission(image, terminal)
-    return in_chunks(b"a=T,i=%d,p=%d,C=1,q=2,%s" % (IMAGE_ID, PLACEMENT_ID, keys), data)
+    if terminal.multiplexer:
+        columns, rows = _cells(frame, terminal)
+        keys = b"a=T,U=1,i=%d,c=%d,r=%d,q=2,%s" % (TMUX_ID, columns, rows, keys)
+        there = previous is not None and _cells(previous, terminal) == (columns, rows)
+        text = b"" if there else cells(columns, rows)
+        return b"".join(map(through_tmux, in_chunks(keys, data))) + text
+    keys = b"a=T,i=%d,p=%d,C=1,q=2,%s" % (IMAGE_ID, PLACEMENT_ID, keys)
+    return b"".join(in_chunks(keys, data))
+
+
+def _cells(frame: Frame, terminal: Terminal) -> tuple[int, int]:
+    """Columns and rows that hold ``frame``. The terminal fits it in, its shape kept."""
+    return (
+        min(ceil(frame.width / terminal.cell_width), terminal.columns, len(MARKS)),
+        min(ceil(frame.height / terminal.cell_height), max(1, terminal.rows - 1), len(MARKS)),
+    )
+
+
+def size(terminal: Terminal) -> tuple[int, int]:
+    """All rows but the last, in px; inside tmux no more cells than there are marks for."""
+    if not terminal.multiplexer:
+        return terminal.pixels
+    most = replace(
+        terminal,
+        columns=min(terminal.columns, len(MARKS)),
+        rows=min(terminal.rows, len(MARKS) + 1),
+    )
+    return most.pixels
 
 
 def transmission(image: U8, terminal: Terminal) -> tuple[bytes, bytes]:
@@ -47,37 +82,44 @@ def transmission(image: U8, terminal: Terminal) -> tuple[bytes, bytes]:
     return b"f=100", b2a_base64(png(image), newline=False)
 
 
-def in_chunks(keys: bytes, data: bytes) -> bytes:
-    """A command whose base64 payload may be long. The first chunk has all keys and data.
+def in_chunks(keys: bytes, data: bytes) -> Iterator[bytes]:
+    """A command whose base64 payload may be long, in sequences.
 
-    xterm.js refuses a first chunk without data.
+    The first has all keys, and data: xterm.js refuses one without.
     """
     keys += b","
-    parts: list[bytes] = []
     for start in range(0, len(data), CHUNK):
         more = start + CHUNK < len(data)
-        parts += APC, keys, b"m=%d;" % more, data[start : start + CHUNK], ST
+        yield b"".join((APC, keys, b"m=%d;" % more, data[start : start + CHUNK], ST))
         keys = b""
-    return b"".join(parts)
 
 
 def clear(terminal: Terminal) -> bytes:
     """Deletes the image and frees its data (d=I)."""
+    if terminal.multiplexer:
+        return through_tmux(APC + b"a=d,d=I,i=%d,q=2" % TMUX_ID + ST)
     return APC + b"a=d,d=I,i=%d,q=2" % IMAGE_ID + ST
 
 
 def unsupported(terminal: Terminal) -> str | None:
     """None, or why not."""
-    if reason := no_pictures(terminal):
-        return reason
-    return None if terminal.kitty else "the terminal does not answer kitty's graphics query"
+    if not terminal.multiplexer or not terminal.tty:
+        if reason := no_pictures(terminal):
+            return reason
+        return None if terminal.kitty else "the terminal does not answer kitty's graphics query"
+    if not terminal.kitty:
+        return no_pictures(terminal)
+    if not terminal.placeholders:
+        name = terminal.around or "the terminal"
+        return f"{name}, around {terminal.multiplexer}, is not known to have kitty's placeholders"
+    return None
 
 
 KITTY = Presenter(
     name="kitty",
     summary="kitty's graphics protocol, exact colours",
     encode=encode,
-    size=lambda terminal: terminal.pixels,
+    size=size,
     unsupported=unsupported,
     clear=clear,
     rank=40,

@@ -15,13 +15,15 @@ import termios
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
+from tsplat.presenters.placeholders import through_tmux
 from tsplat.terminal import device
-from tsplat.terminal.answers import DA1, DA1_ANSWER, parse_answers, resized, split_answers
+from tsplat.terminal.answers import DA1, DA1_ANSWER, resized
 from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, PROBE_SECONDS, READ_SIZE
 from tsplat.terminal.events import Decoder, Event
 from tsplat.terminal.sharing import Sharing
@@ -88,6 +90,7 @@ class Screen:
         self._sharing = Sharing(self._environ)
         self._decoder = Decoder()
         self._queue: list[Event] = []
+        self._heard_first = device.Heard(b"")
         self._said = b""  # answers so far, kept while the last is missing
         self._answering = terminal is not None  # the terminal answers queries
         self._saved: device.Attributes | None = None  # the tty's mode before us; None: not ours
@@ -154,16 +157,18 @@ class Screen:
         device.write_all(self._out, HIDE_CURSOR + (MOUSE_ON if self._mouse else b"") + CLEAR)
 
     def _ask(self) -> None:
-        data = device.ask(self._in, self._out, self._sharing, self._timeout)
-        self._said, typed = split_answers(data)
+        heard = device.ask(self._in, self._out, self._environ, self._sharing, self._timeout)
+        self._heard_first = heard
+        self._said = heard.answers
         self._answering = DA1_ANSWER.search(self._said) is not None
         self._understand()
-        self._queue += self._decoder.feed(typed)
+        self._queue += self._decoder.feed(heard.typed)
 
     def _understand(self) -> None:
         """The terminal's facts from what it has said so far."""
+        heard = replace(self._heard_first, answers=self._said)
         size = device.window_size(self._out)
-        self.terminal = self._sharing.shared_by(parse_answers(self._said, self._environ, size))
+        self.terminal = self._sharing.shared_by(heard.terminal(self._environ, size))
         if self._answering:
             self._sharing.close()  # of what was asked, all that will be taken has been
 
@@ -286,7 +291,9 @@ class Screen:
             self.write(data)
         elif self._answering:
             self._unanswered, self._sent = self._unanswered + 1, now
-            self.write(data + STATUS_REPORT)
+            # tmux would answer at once, however far behind the terminal around it is
+            through = self.terminal.kitty and self.terminal.around
+            self.write(data + (through_tmux(STATUS_REPORT) if through else STATUS_REPORT))
         else:
             self._queue.append(Event("ready"))
             self.write(data)

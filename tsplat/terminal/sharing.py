@@ -52,18 +52,20 @@ class Sharing:
         self._id = secrets.token_hex(8)
         self._count = 0
 
-    def question(self) -> bytes:
-        """Queries (a=q, nothing is stored) for each medium; b"" where none can be shared."""
+    def questions(self) -> list[bytes]:
+        """Queries (a=q, nothing is stored), one for each medium that there is; [] over ssh."""
         if self._remote:
-            return b""
+            return []
         self.sweep()
-        text = b""
+        for old in self._asked.values():
+            _remove(old)
+        queries = []
         for medium, folder in sorted(self._folders.items()):
             if path := self._write(folder, PIXEL):
                 self._asked[medium] = path
                 keys = b"i=%d,s=1,v=1,a=q,t=%s,f=24" % (QUESTION_IDS[medium], medium.encode())
-                text += b"\x1b_G" + keys + b";" + self._name(medium, path) + b"\x1b\\"
-        return text
+                queries.append(b"\x1b_G" + keys + b";" + self._name(medium, path) + b"\x1b\\")
+        return queries
 
     def shared_by(self, terminal: Terminal) -> Terminal:
         """``terminal``, which takes what it said it can read. It must have deleted it, too."""
