@@ -102,7 +102,7 @@ def test_tmux_lets_questions_through():
 
 def test_tmux_lets_nothing_through():
     """No answer past tmux: advice, after one more time-out and no later."""
-    with FakeTerminal(extra=INNER) as terminal:
+    with FakeTerminal(extra=INNER, da1=b"\x1b[?1;2c") as terminal:
         begun = time.monotonic()
         facts, _ = probe(terminal.fd, terminal.fd, TMUX)
         assert 0.1 < time.monotonic() - begun < 0.5
