@@ -63,6 +63,9 @@ examples:
   tsplat plugins
   TSPLAT_PLUGINS= tsplat plugins        without third-party plugins
   TSPLAT_PLUGINS=a,b tsplat plugins     only these two
+  tsplat plugins --terminal foot,-sync  what would be chosen in another terminal
+
+In a terminal it also says what that was asked and answered, and which presenter follows.
 """
 CHECK_EXAMPLES = """\
 examples:
@@ -218,6 +221,14 @@ def _add_pose(parser: argparse.ArgumentParser) -> None:
     pose.add_argument("--far", type=_positive, metavar="Z", help="nothing farther is drawn")
 
 
+def _add_terminal(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--terminal", metavar="T",
+        help="what the terminal is, whatever it answers: a name such as foot, features such as "
+        "+sixel,-kitty, colors=256 ($TSPLAT_TERMINAL)",
+    )  # fmt: skip
+
+
 def make_parser() -> argparse.ArgumentParser:
     """The whole command line."""
     raw = argparse.RawDescriptionHelpFormatter
@@ -240,9 +251,11 @@ def make_parser() -> argparse.ArgumentParser:
     _add_engine(view)
     _add_quality(view)
     view.add_argument(
-        "--presenter", default="auto", metavar="P",
-        help="kitty, iterm2, sixel, halfblock, another of `tsplat plugins`, or auto (default)",
+        "--presenter", metavar="P",
+        help="kitty, iterm2, sixel, halfblock, another of `tsplat plugins`, or auto "
+        "($TSPLAT_PRESENTER, else auto)",
     )  # fmt: skip
+    _add_terminal(view)
     view.add_argument(
         "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each"
     )
@@ -289,6 +302,7 @@ def make_parser() -> argparse.ArgumentParser:
     info.add_argument("--json", action="store_true", help="print it as JSON")
 
     plugins = add("plugins", "list backends, presenters and readers", PLUGINS_EXAMPLES)
+    _add_terminal(plugins)
     plugins.add_argument("--json", action="store_true", help="print it as JSON")
 
     check = add("check", "compare every backend with the reference", CHECK_EXAMPLES)

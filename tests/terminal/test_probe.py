@@ -10,6 +10,7 @@ from fakes import DA1, FakeTerminal
 from tsplat.presenters.base import Terminal
 from tsplat.terminal import probe
 from tsplat.terminal.answers import KITTY_QUESTION, QUESTIONS
+from tsplat.terminal.device import patience
 
 ENVIRON = {"TERM": "xterm"}
 
@@ -118,3 +119,35 @@ def test_a_window_opened_from_tmux():
         facts, _ = probe(terminal.fd, terminal.fd, environ, timeout=5)
         assert (facts.kitty, facts.multiplexer) == (True, "")
         assert terminal.output.count(KITTY_QUESTION) == 1
+
+
+def test_a_slow_link_is_waited_for():
+    """Once an answer has begun to come the last may take longer than the first."""
+
+    def slowly(terminal):
+        terminal.wait_for(b"\x1b[c")
+        os.write(terminal.master, b"\x1bP>|foot(1.28.0)\x1b\\")
+        time.sleep(0.5)
+        os.write(terminal.master, b"\x1b[?62;4;22c")
+
+    with FakeTerminal(delay=None) as terminal:
+        thread = threading.Thread(target=slowly, args=(terminal,))
+        thread.start()
+        facts, _ = probe(terminal.fd, terminal.fd, ENVIRON, timeout=0.3)
+        thread.join()
+        assert (facts.name, facts.sixel) == ("foot(1.28.0)", True)
+
+
+def test_typing_is_no_answer():
+    """Keys do not prolong the wait."""
+    with FakeTerminal(delay=None) as terminal:
+        terminal.type(b"\x1b[A\x1bOP")
+        begun = time.monotonic()
+        _, typed = probe(terminal.fd, terminal.fd, ENVIRON)
+        assert time.monotonic() - begun < 1
+        assert typed == b"\x1b[A\x1bOP"
+
+
+def test_patience():
+    """More of it over a network than on this machine."""
+    assert patience({"SSH_CONNECTION": "1"}) > 1 > patience({}) > 0

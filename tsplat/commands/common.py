@@ -163,3 +163,21 @@ def dropped_text(scene: Scene) -> str:
     if not scene.dropped:
         return ""
     return "left out " + ", ".join(f"{n:,} ({reason})" for reason, n in scene.dropped.items())
+
+
+def terminal_environ(spec: str | None) -> dict[str, str]:
+    """The environment, with ``--terminal``'s words where they are given.
+
+    Raises:
+        TerminalError: the words are not understood.
+    """
+    import os
+
+    from tsplat.presenters.base import Terminal
+    from tsplat.terminal.profiles import overridden
+
+    environ = dict(os.environ)
+    if spec is not None:
+        environ["TSPLAT_TERMINAL"] = spec
+    overridden(Terminal(), environ.get("TSPLAT_TERMINAL", ""))  # before the screen is touched
+    return environ

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tsplat.commands.common import calibrated, load, params, say
+from tsplat.commands.common import calibrated, load, params, say, terminal_environ
 from tsplat.core.camera import Camera
 from tsplat.core.errors import ParamsError, TerminalError
 from tsplat.plan import make_plan
@@ -44,8 +44,10 @@ def run(arguments: argparse.Namespace) -> int:
             "--verify compares with the contract's picture: leave out --quality, --set, --max-error"
         )
     registry = plugins()
-    if arguments.presenter != "auto":
-        registry.find("presenter", arguments.presenter)
+    wanted_presenter = arguments.presenter or os.environ.get("TSPLAT_PRESENTER") or "auto"
+    if wanted_presenter != "auto":
+        registry.find("presenter", wanted_presenter)
+    environ = terminal_environ(arguments.terminal)
     background = arguments.background or (0.0, 0.0, 0.0)
     scene = load(arguments)
     verifier: Verifier | None = None
@@ -64,11 +66,11 @@ def run(arguments: argparse.Namespace) -> int:
             log = BreachLog(lambda camera, pose: check_command(arguments, names, camera, pose))
             verifier = Verifier(worker, log)
             stack.callback(_report, verifier)
-        screen = stack.enter_context(Screen())
+        screen = stack.enter_context(Screen(environ=environ))
         orbit = frame_orbit(scene, *screen.terminal.pixels, FOV)
         view = View(orbit, orbit, FOV)
         Viewer(
-            screen, scene, plan, view, registry.presenters, arguments.presenter, background,
+            screen, scene, plan, view, registry.presenters, wanted_presenter, background,
             verifier,
         ).run()  # fmt: skip
     return 1 if verifier is not None and verifier.broken else 0

@@ -21,6 +21,7 @@ from math import isfinite
 
 from tsplat.core.errors import printable
 from tsplat.presenters.base import Terminal
+from tsplat.terminal.profiles import overridden
 from tsplat.terminal.sharing import QUESTION_IDS, is_remote
 
 Winsize = tuple[int, int, int, int]  # rows, columns, xpixel, ypixel as TIOCGWINSZ has them
@@ -75,6 +76,11 @@ _TRUECOLOR_NAMES = (
 )  # fmt: skip
 
 
+def holds_answer(data: bytes) -> bool:
+    """Whether any answer is in ``data``: a terminal that begins to answer will end."""
+    return _ANSWER.search(data) is not None
+
+
 def split_answers(data: bytes) -> tuple[bytes, bytes]:
     """``data`` as (answers, the rest: what somebody typed meanwhile)."""
     return b"".join(m.group() for m in _ANSWER.finditer(data)), _ANSWER.sub(b"", data)
@@ -99,7 +105,11 @@ def parse_answers(
     DA1, and ``features`` what tmux believes of it (its format ``client_termfeatures``).
 
     A protocol counts as there only if it was confirmed: kitty prints sixel data as text, and
-    terminals without kitty graphics or OSC 1337 may print those.
+    terminals without kitty graphics or OSC 1337 may print those. ``TSPLAT_TERMINAL`` has the last
+    word.
+
+    Raises:
+        TerminalError: it is not understood.
     """
     said = name_in(answers)
     mux = multiplexer(said, environ)
@@ -129,7 +139,8 @@ def parse_answers(
         remote=is_remote(environ),
         media="".join(medium for medium, n in QUESTION_IDS.items() if n in kitty_ok),
     )
-    return _sized(terminal, _with_answers(winsize, answers, environ), _cell(answers))
+    terminal = _sized(terminal, _with_answers(winsize, answers, environ), _cell(answers))
+    return overridden(terminal, environ.get("TSPLAT_TERMINAL", ""))
 
 
 def _shows_sixel(around: bytes, features: str) -> bool:

@@ -22,14 +22,17 @@ from tsplat.terminal.answers import (
     QUESTIONS,
     XTVERSION,
     Winsize,
+    holds_answer,
     multiplexer,
     name_in,
     parse_answers,
     split_answers,
 )
-from tsplat.terminal.sharing import Sharing
+from tsplat.terminal.sharing import Sharing, is_remote
 
-PROBE_SECONDS = 0.15
+PROBE_SECONDS = 0.15  # for the first answer, on this machine
+REMOTE_SECONDS = 1.5  # for the first answer over a network
+ANSWERING_SECONDS = 2.0  # for the last answer, once there is a first
 ENTER_ALTERNATE = b"\x1b[?1049h"
 LEAVE_ALTERNATE = b"\x1b[?1049l"
 READ_SIZE = 1 << 16
@@ -98,10 +101,22 @@ def write_all(fd: int, data: bytes, seconds: float | None = None) -> bool:
     return True
 
 
+def patience(environ: Mapping[str, str]) -> float:
+    """How long a terminal may take to begin to answer, in s. What never does costs that."""
+    return REMOTE_SECONDS if is_remote(environ) else PROBE_SECONDS
+
+
 def read_answers(fd: int, seconds: float) -> bytes:
-    """All that comes until a DA1 answer is among it, or ``seconds`` have passed."""
-    data, end = b"", time.monotonic() + seconds
+    """All that comes until a DA1 answer is among it.
+
+    Gives up if no answer has begun after ``seconds``, else after ``ANSWERING_SECONDS``: over a slow
+    link one answer may come long after another.
+    """
+    data, begun = b"", time.monotonic()
+    end = begun + seconds
     while not DA1_ANSWER.search(data):
+        if holds_answer(data):
+            end = max(end, begun + ANSWERING_SECONDS)
         left = end - time.monotonic()
         if left <= 0 or not select.select([fd], [], [], left)[0]:
             break
@@ -181,7 +196,7 @@ def tmux_features(environ: Mapping[str, str]) -> str:
 
 
 def probe(
-    fd_in: int, fd_out: int, environ: Mapping[str, str], timeout: float = PROBE_SECONDS
+    fd_in: int, fd_out: int, environ: Mapping[str, str], timeout: float | None = None
 ) -> tuple[Terminal, bytes]:
     """The terminal's facts, and what was typed while it was asked. See :func:`hear`.
 
@@ -195,11 +210,12 @@ def probe(
 
 
 def hear(
-    fd_in: int, fd_out: int, environ: Mapping[str, str], timeout: float = PROBE_SECONDS
+    fd_in: int, fd_out: int, environ: Mapping[str, str], timeout: float | None = None
 ) -> Heard | None:
     """Asks a terminal that is not in use; None, and nothing is written, if it is none.
 
-    Takes ``timeout`` s at most, a round trip as a rule. Happens on the alternate screen, which
+    Takes a round trip as a rule; ``timeout`` s (None: see :func:`patience`) if nothing is answered.
+    Happens on the alternate screen, which
     is left again: a terminal that prints a question's text takes it away with the screen. The
     tty's mode is restored.
 
@@ -211,7 +227,8 @@ def hear(
     with raw_mode(fd_in), contextlib.closing(Sharing(environ)) as sharing:
         write_all(fd_out, ENTER_ALTERNATE)
         try:
-            return ask(fd_in, fd_out, environ, sharing, timeout)
+            seconds = patience(environ) if timeout is None else timeout
+            return ask(fd_in, fd_out, environ, sharing, seconds)
         finally:
             write_all(fd_out, LEAVE_ALTERNATE)
 

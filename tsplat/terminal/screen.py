@@ -24,7 +24,7 @@ from tsplat.presenters.base import Terminal
 from tsplat.presenters.placeholders import through_tmux
 from tsplat.terminal import device
 from tsplat.terminal.answers import DA1, DA1_ANSWER, resized
-from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, PROBE_SECONDS, READ_SIZE
+from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, READ_SIZE
 from tsplat.terminal.events import Decoder, Event
 from tsplat.terminal.sharing import Sharing
 
@@ -64,7 +64,8 @@ class Screen:
     that waits, or the next one, then raises :class:`Terminated`, so that ``with`` blocks unwind;
     a second signal raises it wherever the program is. Use it in the main thread.
 
-    ``terminal`` None: the terminal is asked on entering, within ``timeout`` s; later answers
+    ``terminal`` None: the terminal is asked on entering, and given ``timeout`` s to begin to
+    answer (None: as the link needs, see :func:`~tsplat.terminal.device.patience`); later answers
     still come in, as the event "terminal". ``cleanup`` is written before the screen is left; a
     presenter's ``clear`` belongs there.
 
@@ -79,14 +80,15 @@ class Screen:
         environ: Mapping[str, str] | None = None,
         terminal: Terminal | None = None,
         mouse: bool = True,
-        timeout: float = PROBE_SECONDS,
+        timeout: float | None = None,
     ) -> None:
         self.terminal = terminal or Terminal()
         self.cleanup = b""
         self.watched: int | None = None  # descriptor; the event "watched" while it can be read
         self._asked = terminal is not None
-        self._in, self._out, self._mouse, self._timeout = fd_in, fd_out, mouse, timeout
+        self._in, self._out, self._mouse = fd_in, fd_out, mouse
         self._environ = os.environ if environ is None else environ
+        self._timeout = device.patience(self._environ) if timeout is None else timeout
         self._sharing = Sharing(self._environ)
         self._decoder = Decoder()
         self._queue: list[Event] = []
@@ -353,7 +355,8 @@ class Screen:
             if event.kind != "ready":
                 self._queue.append(event)
             elif self._overdue:
-                self._overdue -= 1  # of a frame given up
+                self._overdue -= 1  # of a frame given up: it is slow, but it answers
+                self._answering, self._given_up = True, 0
             elif self._unanswered:
                 self._unanswered, self._given_up = self._unanswered - 1, 0
                 if not self._unanswered:
