@@ -1,7 +1,8 @@
-"""Builds the optional C kernel; everything else is in pyproject.toml.
+"""Builds what is in C and optional, the kernel and the decoder; all else is in pyproject.toml.
 
 Without a working compiler the install still succeeds: the compiler's complaint is kept in
-``build_error.txt`` beside the backend, which quotes it when asked why it is unavailable.
+``build_error.txt`` beside what was not built; the backend quotes its own when asked why it is
+unavailable.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class BuildKernel(build_ext):
     def build_extension(self, ext):
         """Builds ``ext``, or writes down why that failed."""
         root = Path() if self.inplace else Path(self.build_lib)
-        report = root / KERNEL / "build_error.txt"
+        report = root.joinpath(*ext.name.split(".")[:-1], "build_error.txt")
         report.unlink(missing_ok=True)
         if self.compiler.compiler_type == "msvc":
             ext.extra_compile_args = MSVC_FLAGS
@@ -83,10 +84,14 @@ class BuildKernel(build_ext):
             )
             report.parent.mkdir(parents=True, exist_ok=True)
             report.write_text("\n".join([cause, *kept]) + "\n")
-            self.warn(f"the C kernel was not built ({cause}); tsplat works without it, slower")
+            self.warn(f"{ext.name} was not built ({cause}); tsplat works without it, slower")
 
 
 build = runpy.run_path(str(KERNEL / "build.py"))
-kernel = build["make_ffi"]([], []).distutils_extension(tmpdir="build")
-kernel.optional = True
-setup(ext_modules=[kernel], cmdclass={"build_ext": BuildKernel})
+modules = [
+    build["make_ffi"]([], [], build[name]).distutils_extension(tmpdir="build")
+    for name in ("MODULE", "DECODER")
+]
+for module in modules:
+    module.optional = True
+setup(ext_modules=modules, cmdclass={"build_ext": BuildKernel})

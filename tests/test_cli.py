@@ -500,3 +500,16 @@ def test_max_error_says_what_it_picked(ply, tmp_path):
         (("--set", "scale=3"), b"expected 0 < value <= 1"),
     ):
         assert told in tsplat("render", ply, "-o", out, *words, code=1).stderr
+
+
+def test_garbage_is_collected_while_a_command_runs():
+    """It is left alone only while modules are imported, and at exit."""
+    code = (
+        "import gc, sys, tsplat.cli, tsplat.commands.plugins as command;"
+        "command.run = lambda arguments: print(gc.isenabled()) or 0;"
+        "sys.argv = ['tsplat', 'plugins']; tsplat.cli.main()"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert result.stdout == "True\n"

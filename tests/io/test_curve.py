@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
 from tests.io.plywriter import raw_columns, write_ply
 from tests.io.test_ply_variants import as_stored, assert_scene
 from tsplat.core.curve import curve_order
-from tsplat.io import curve, load_scene, scene_from_arrays
+from tsplat.io import curve, load_scene, ply, scene_from_arrays
 from tsplat.io.base import sample_rows
 
 N = 500
@@ -18,9 +16,10 @@ N = 500
 
 @pytest.fixture
 def small(monkeypatch):
-    """A few hundred rows are many, and 60 a piece."""
+    """A few hundred rows are many, 20 a chunk and 60 a piece."""
     monkeypatch.setattr(curve, "ROWS_MIN", N // 10)
-    monkeypatch.setattr(curve, "PIECE", 60)
+    monkeypatch.setattr(ply, "CHUNK", 20)
+    monkeypatch.setattr(ply, "PIECE", 60)
 
 
 def in_file_order(scene):
@@ -92,21 +91,35 @@ def test_the_order_is_mortons(small):
         np.array([[3e38, -3e38, 0]] * 3 + [[-3e38, 3e38, 1]] * 3),
         np.array([[0, 0, 0]] * 500 + [[3e38, -3e38, 3e38]]),
         np.zeros((1, 3)),
+        np.full((9, 3), np.nan),
+        np.array([[np.nan, 0, 1]] * 5 + [[np.inf, -np.inf, 0]] * 5 + [[0, 1, 2]] * 5),
     ],
 )
 def test_extreme_positions_give_some_order(means):
-    """All in one place, or so far apart that float32 overflows: a permutation, and no warning."""
-    order = curve_order(means.astype(np.float32))
-    assert sorted(order.tolist()) == list(range(len(means)))
+    """In one place, beyond float32's differences, not finite: a permutation, and no warning."""
+    for dtype in (np.float32, np.float64):
+        order = curve.rows_along_curve(means.astype(dtype))
+        assert sorted(order.tolist()) == list(range(len(means)))
 
 
-@pytest.mark.parametrize("shape", [(N,), (N, 3), (N, 4, 3)])
-@pytest.mark.parametrize("dtype", [np.float16, np.float32])
-def test_taken_is_indexing(small, shape, dtype):
-    """Piece by piece, on threads, of any shape."""
-    array = np.random.default_rng(2).normal(size=shape).astype(dtype)
-    rows = np.random.default_rng(3).permutation(N).astype(np.int32)
-    with ThreadPoolExecutor(3) as pool:
-        got = curve.taken(array, rows, pool)
-    np.testing.assert_array_equal(got, array[rows])
-    assert got.dtype == dtype
+def test_rows_that_are_dropped_do_not_spoil_the_order():
+    """Whatever is not finite among many, the others lie along the curve as they do without."""
+    means = np.random.default_rng(4).uniform(-1, 1, (9000, 3)).astype(np.float32)
+    bad = np.arange(9000) % 3 == 0
+    means[bad] = np.random.default_rng(5).choice([np.nan, np.inf, -np.inf], (3000, 3))
+    order = curve_order(means)
+    steps = np.abs(np.diff(means[order[~bad[order]]], axis=0)).sum(1)
+    alone = means[~bad]
+    assert np.median(steps) < 1.1 * np.median(
+        np.abs(np.diff(alone[curve_order(alone)], axis=0)).sum(1)
+    )
+
+
+def test_positions_far_from_zero_have_an_order_too():
+    """In double precision, neighbours that float32 could not tell apart are told apart."""
+    near = np.random.default_rng(6).uniform(-1, 1, (2000, 3))
+    np.testing.assert_array_equal(
+        curve.rows_along_curve(near + 2.0**40), curve.rows_along_curve(near + 2.0**40 - 2.0**40)
+    )
+    steps = np.abs(np.diff(near[curve.rows_along_curve(near + 2.0**40)], axis=0)).sum(1)
+    assert np.median(steps) < 0.5

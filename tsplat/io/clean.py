@@ -8,18 +8,18 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tsplat.core.curve import curve_order
 from tsplat.core.errors import SceneError
 from tsplat.core.types import F32, F64, I32, Floats, Scene
-from tsplat.core.workspace import default_threads
-from tsplat.io import curve
 from tsplat.io.half import to_half
+
+if TYPE_CHECKING:
+    from tsplat.io.native import Decoder
 
 CHUNK = 4096
 """Rows worked on at a time: 1 MB of a degree-3 scene. Fewer, and threads spend their time on
@@ -74,13 +74,14 @@ class SceneBuilder:
         self._sh = np.empty((capacity, coefficients, 3), np.float16 if half else np.float32)
         self._wide = wide
         self._half = half
-        self._runs: list[tuple[int, int]] = []  # where rows have been put: first, how many
+        self._count = 0
+        self._gaps: list[NDArray[np.integer]] = []  # rows that nothing was put into
         self._lock = threading.Lock()
         self.dropped: Counter[str] = Counter()
         self.sh_error = 0.0  # of what has been added; see Scene.sh_error
 
     def __len__(self) -> int:
-        return sum(count for _, count in self._runs)
+        return self._count
 
     def add(
         self,
@@ -89,11 +90,12 @@ class SceneBuilder:
         scales: Floats,  # [n, 3]    world units, linear
         opacities: Floats,  # [n]    0..1
         sh: Floats,  # [n, K, 3]
-        at: int | None = None,
+        to: slice | NDArray[np.integer],
     ) -> None:
-        """Takes the rows that can be drawn, behind all others or from row ``at`` on.
+        """Puts the rows that can be drawn into rows ``to``, n of the builder's capacity.
 
-        Threads may add at once if each says where, ``n`` rows apart; ``build`` closes the gaps.
+        Threads may add at once, each to rows of its own. All rows must be added to before
+        ``build``, which closes the gaps that others leave.
         """
         # what overflows is dropped; what underflows is 0, or close to it
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
@@ -106,60 +108,78 @@ class SceneBuilder:
             limit = FLOAT32_MAX / 2 if self._wide else FLOAT32_MAX
             dropped: Counter[str] = Counter()
             keep: NDArray[np.bool_] | slice = slice(None)
+            gaps: list[NDArray[np.integer]] = []
             if not _sound(means, lengths, scales, opacities, sh, limit):
                 keep = _judge(means, lengths, scales, opacities, sh, limit, dropped)
-        start = sum(self._runs[-1]) if at is None and self._runs else at or 0
-        stop = start + len(means) - dropped.total()
+                rows = np.arange(to.start, to.stop) if isinstance(to, slice) else to
+                to, gaps = rows[keep], [rows[~keep]]
         with np.errstate(under="ignore"):
-            self._means[start:stop] = means[keep]
-            self._quats[start:stop] = units[keep]
-            self._scales[start:stop] = scales[keep]
-            self._opacities[start:stop] = np.clip(opacities[keep], 0, 1)
-            error = self._put_sh(start, stop, sh[keep])
+            _put(self._means, to, means[keep])
+            _put(self._quats, to, units[keep])
+            _put(self._scales, to, scales[keep])
+            self._opacities[to] = np.clip(opacities[keep], 0, 1)
+            error = self._put_sh(to, sh[keep])
         with self._lock:
-            self._runs.append((start, stop - start))
+            self._count += len(means) - dropped.total()
+            self._gaps += gaps
             self.dropped.update(dropped)
             self.sh_error = max(self.sh_error, error)
 
-    def _put_sh(self, start: int, stop: int, sh: F32) -> float:
+    def decode(self, decoder: Decoder, rows: NDArray[np.void], to: slice | I32) -> bool:
+        """Like :meth:`add`, of rows as a file has them.
+
+        False if some cannot be drawn: then they all have to be added.
+        """
+        error = None
+        if not self._wide:
+            error = decoder(
+                rows, self._means, self._quats, self._scales, self._opacities, self._sh, to
+            )
+        if error is None:
+            return False
+        with self._lock:
+            self._count += len(rows)
+            self.sh_error = max(self.sh_error, error)
+        return True
+
+    def _put_sh(self, to: slice | NDArray[np.integer], sh: F32) -> float:
         """The colour error that keeping ``sh`` costs."""
         if not self._half:
-            self._sh[start:stop] = sh
+            _put(self._sh, to, sh)
             return 0.0
-        return to_half(np.ascontiguousarray(sh), self._sh[start:stop])
+        halves = np.empty(sh.shape, np.float16)
+        error = to_half(np.ascontiguousarray(sh), halves)
+        _put(self._sh, to, halves)
+        return error
 
-    def _close_gaps(self) -> int:
-        """Moves all rows together, in order; how many there are."""
+    def _close_gaps(self, numbers: I32 | None) -> I32 | None:
+        """Moves all rows together, in order, and counts ``numbers`` anew."""
+        if not self._gaps:
+            return numbers
+        full = np.ones(len(self._means), np.bool_)
+        for gaps in self._gaps:
+            full[gaps] = False
         size = 0
-        for start, count in sorted(self._runs):
-            if start != size:
-                for array in (self._means, self._quats, self._scales, self._opacities, self._sh):
-                    array[size : size + count] = array[start : start + count]
-            size += count
-        self._runs = [(0, size)]
-        return size
-
-    def _along_curve(self) -> I32 | None:
-        """Moves rows along the curve, array by array; the place that each had before."""
-        if len(self._means) < curve.ROWS_MIN:
+        for start in range(0, len(full), CHUNK):
+            rows = start + np.flatnonzero(full[start : start + CHUNK])
+            for array in (self._means, self._quats, self._scales, self._opacities, self._sh):
+                array[size : size + len(rows)] = array[rows]
+            size += len(rows)
+        if numbers is None:
             return None
-        order = curve_order(self._means)
-        with ThreadPoolExecutor(min(default_threads(), THREADS), "tsplat-curve") as pool:
-            self._means = curve.taken(self._means, order, pool)
-            self._quats = curve.taken(self._quats, order, pool)
-            self._scales = curve.taken(self._scales, order, pool)
-            self._opacities = curve.taken(self._opacities, order, pool)
-            self._sh = curve.taken(self._sh, order, pool)
-        return order
+        left = np.zeros(len(full), np.bool_)
+        left[numbers[full]] = True
+        return (np.cumsum(left, dtype=np.int32) - 1)[numbers[full]]
 
-    def build(self, name: str, origin: F64 | None = None, *, reorder: bool = False) -> Scene:
+    def build(self, name: str, origin: F64 | None = None, *, numbers: I32 | None = None) -> Scene:
         """The Scene of everything added; the builder is used up.
 
-        ``origin`` is what the means were relative to. With ``reorder``, the rows of a large scene
-        are moved along a space-filling curve and numbered.
+        ``origin`` is what the means were relative to. ``numbers`` [capacity] says which row of the
+        file was put into each; the Scene's count only those that are left.
         """
         base = np.zeros(3) if origin is None else origin
-        size = self._close_gaps()
+        numbers = self._close_gaps(numbers)
+        size = len(self)
         means = self._means[:size]
         if self._wide:
             shift = detail_origin(means, self._scales[:size])
@@ -169,8 +189,6 @@ class SceneBuilder:
             self._means = np.ascontiguousarray(means, np.float32)
         self._quats, self._scales = self._quats[:size], self._scales[:size]
         self._opacities, self._sh = self._opacities[:size], self._sh[:size]
-        del means  # each old array makes room for the next
-        numbers = self._along_curve() if reorder else None
         return Scene(
             means=self._means,
             quats=self._quats,
@@ -183,6 +201,18 @@ class SceneBuilder:
             sh_error=self.sh_error,
             numbers=numbers,
         )
+
+
+def _put(
+    array: NDArray[np.floating], to: slice | NDArray[np.integer], rows: NDArray[np.floating]
+) -> None:
+    """``array[to] = rows``, of whole rows as single items: NumPy puts those twice as fast."""
+    if isinstance(to, slice) or not len(to):
+        array[to] = rows
+        return
+    item = np.dtype((np.void, array[0].nbytes))
+    rows = np.ascontiguousarray(rows, array.dtype)
+    array.reshape(len(array), -1).view(item)[to, 0] = rows.reshape(len(to), -1).view(item)[:, 0]
 
 
 def _place(dropped: tuple[str, int]) -> int:
@@ -328,6 +358,6 @@ def scene_from_arrays(
     builder = SceneBuilder(n, c.shape[1], wide=m.dtype == np.float64)
     builder.dropped.update(dropped or {})
     for start in range(0, n, CHUNK):
-        rows = slice(start, start + CHUNK)
-        builder.add(m[rows], q[rows], s[rows], o[rows], c[rows])
+        rows = slice(start, min(start + CHUNK, n))
+        builder.add(m[rows], q[rows], s[rows], o[rows], c[rows], rows)
     return builder.build(name, base)

@@ -13,15 +13,17 @@ import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, F64, Floats, Scene
+from tsplat.core.types import F64, I32, Floats, Scene
 from tsplat.core.workspace import default_threads
 from tsplat.hookspecs import hookimpl
+from tsplat.io import curve, native
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, sample_rows
 from tsplat.io.clean import CHUNK, OPACITY_RANGE, THREADS, SceneBuilder
 from tsplat.io.half import SH_ERROR_MAX
@@ -118,6 +120,7 @@ class Layout:
     def __init__(self, dtype: np.dtype[np.void], rest: int) -> None:
         """``rest`` is how many ``f_rest_*`` there are."""
         self.coefficients = 1 + rest // 3
+        self.wide = not all(np.can_cast(dtype[name], np.float32) for name in MEANS)
         self._means, self._quats = _columns(dtype, MEANS), _columns(dtype, QUATS)
         self._scales, self._dc = _columns(dtype, SCALES), _columns(dtype, DC)
         per_channel = rest // 3
@@ -125,18 +128,27 @@ class Layout:
             _columns(dtype, tuple(f"f_rest_{i}" for i in range(first, first + per_channel)))
             for first in (range(0, rest, per_channel) if rest else ())
         ]
+        colours = [f"f_rest_{c * per_channel + k}" for k in range(per_channel) for c in range(3)]
+        self._decoder = native.decoder(dtype, (*MEANS, *QUATS, *SCALES, "opacity", *DC, *colours))
+
+    def means(self, rows: NDArray[np.void]) -> Floats:
+        """[n, 3] the positions of ``rows``, some of which may not be finite."""
+        return _floats(np.ascontiguousarray(self._means(rows)))
 
     def add(
-        self, builder: SceneBuilder, at: int, rows: NDArray[np.void], raw_opacity: bool, sh: F32
+        self, builder: SceneBuilder, to: slice | I32, rows: NDArray[np.void], raw_opacity: bool
     ) -> None:
-        """Decodes ``rows`` into ``builder`` from row ``at`` on; ``sh`` [n, K, 3] is scratch.
+        """Decodes ``rows`` into rows ``to`` of ``builder``.
 
         exp and sigmoid in float64: rounded once, to float32.
         """
+        if self._decoder and not raw_opacity and builder.decode(self._decoder, rows, to):
+            return
+        sh = np.empty((len(rows), self.coefficients, 3), np.float32)
         # the builder drops what is not finite; what underflows is a point
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             opacities = rows["opacity"].astype(np.float64)
-            means = _floats(np.ascontiguousarray(self._means(rows)))
+            means = self.means(rows)
             quats = _floats(self._quats(rows))
             scales = np.exp(self._scales(rows).astype(np.float64)).astype(np.float32)
             sh[:, 0] = self._dc(rows)
@@ -144,7 +156,7 @@ class Layout:
                 sh[:, 1:, channel] = columns(rows)
         if not raw_opacity:
             opacities = sigmoid(opacities)
-        builder.add(means, quats, scales, opacities, sh, at)
+        builder.add(means, quats, scales, opacities, sh, to)
 
 
 def check(path: Path, header: Header) -> Element:
@@ -196,7 +208,8 @@ def read(path: Path, options: ReadOptions) -> Scene:
     if isinstance(rest, str):
         refuse(path, rest)
     with plyrows.open_rows(path, header, options.progress) as rows:
-        builder = decode(rows, rest, options, _nothing if header.text else options.progress)
+        sweeps = Sweeps(rows, options, _nothing if header.text else options.progress)
+        builder, numbers = decode(sweeps, Layout(rows.dtype, rest), options)
     if options.raw_opacity and builder.dropped[OPACITY_RANGE] > len(builder):
         refuse(
             path,
@@ -206,7 +219,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
     if not len(builder):
         reasons = ", ".join(f"{r}: {n}" for r, n in builder.dropped.items() if r != SAMPLED)
         refuse(path, f"none of its Gaussians can be drawn ({reasons})")
-    return builder.build(printable(path.name), reorder=True)
+    return builder.build(printable(path.name), numbers=numbers)
 
 
 def _load() -> Read:
@@ -219,61 +232,109 @@ def _nothing(done: int, total: int) -> None:
     pass
 
 
-def decode(
-    rows: Rows, rest: int, options: ReadOptions, progress: Callable[[int, int], None]
-) -> SceneBuilder:
-    """All of ``rows``, or an even sample of ``options.max_splats``; SH in float16 if that will do.
+class Sweeps:
+    """Goes through all rows, or an even sample of ``options.max_splats``, as often as needed."""
 
-    Whether it will do is known at the end. If not, all is read again: keeping float32 as well
-    until then would take more memory than the file.
-    """
-    if not options.sh_float32:
-        builder = _decode(rows, rest, options, progress, half=True)
-        if builder.sh_error < SH_ERROR_MAX:
-            return builder
-        del builder  # its memory is needed
-    return _decode(rows, rest, options, progress, half=False)
+    def __init__(
+        self, rows: Rows, options: ReadOptions, progress: Callable[[int, int], None]
+    ) -> None:
+        self._rows = rows
+        self._progress = progress
+        total = len(rows)
+        self.count = min(options.max_splats or total, total)
+        self.left_out = total - self.count
+        self._picked = sample_rows(total, self.count) if self.left_out else None
 
-
-def _decode(
-    rows: Rows, rest: int, options: ReadOptions, progress: Callable[[int, int], None], *, half: bool
-) -> SceneBuilder:
-    """Cut short if ``half`` turns out not to do."""
-    total = len(rows)
-    keep = min(options.max_splats or total, total)
-    picked = sample_rows(total, keep) if keep < total else None
-    layout = Layout(rows.dtype, rest)
-    wide = not all(np.can_cast(rows.dtype[name], np.float32) for name in MEANS)
-    builder = SceneBuilder(keep, layout.coefficients, wide=wide, half=half)
-    if picked is not None:
-        builder.dropped[SAMPLED] = total - keep
-
-    def place(row: int) -> int:
+    def _place(self, row: int) -> int:
         """Where ``row`` of the file, or the first one behind it that is picked, goes."""
-        return row if picked is None else int(np.searchsorted(picked, row))
+        return row if self._picked is None else int(np.searchsorted(self._picked, row))
 
-    def piece(first: int) -> int:
-        """Decodes PIECE rows; returns where the rows behind them go."""
-        end = min(first + PIECE, total)
-        room = np.empty(min(CHUNK, end - first), rows.dtype)
-        sh = np.empty((len(room), layout.coefficients, 3), np.float32)
-        for start in range(first, end, CHUNK):
-            stop = min(start + CHUNK, end)
-            at, behind = place(start), place(stop)
-            if builder.sh_error >= SH_ERROR_MAX:
-                break
-            if picked is None:
-                chunk = rows.read(start, stop, room)
-            else:
-                chunk = rows.read(start, stop, room)[picked[at:behind] - start]
-            layout.add(builder, at, chunk, options.raw_opacity, sh[: len(chunk)])
-        return place(end)
+    def sweep(
+        self, work: Callable[[slice, NDArray[np.void]], bool], before: int, goal: int
+    ) -> None:
+        """Calls ``work`` in threads with a slice of 0..count and its rows, until one says False.
 
-    progress(0, keep)
-    with ThreadPoolExecutor(min(default_threads(), THREADS), "tsplat-ply") as pool:
-        for done in pool.map(piece, range(0, total, PIECE)):
-            progress(done, keep)
-    return builder
+        Progress goes from ``before`` to ``before + count`` of ``goal``.
+        """
+        rows, total = self._rows, len(self._rows)
+        more = True
+        workers = min(default_threads(), THREADS)
+        # Made here: what a thread of a pool allocates for itself stays the process's, by and large.
+        rooms: SimpleQueue[NDArray[np.void]] = SimpleQueue()
+        for _ in range(workers):
+            rooms.put(np.empty(min(CHUNK, total), rows.dtype))
+
+        def piece(first: int) -> int:
+            """Works on PIECE rows; returns where the rows behind them go."""
+            nonlocal more
+            end = min(first + PIECE, total)
+            room = rooms.get()
+            try:
+                for start in range(first, end, CHUNK):
+                    if not more:
+                        break
+                    stop = min(start + CHUNK, end)
+                    part = slice(self._place(start), self._place(stop))
+                    chunk = rows.read(start, stop, room)
+                    if self._picked is not None:
+                        chunk = chunk[self._picked[part] - start]
+                    if not work(part, chunk):
+                        more = False
+            finally:
+                rooms.put(room)
+            return self._place(end)
+
+        self._progress(before, goal)
+        with ThreadPoolExecutor(workers, "tsplat-ply") as pool:
+            for done in pool.map(piece, range(0, total, PIECE)):
+                self._progress(before + done, goal)
+
+
+def decode(sweeps: Sweeps, layout: Layout, options: ReadOptions) -> tuple[SceneBuilder, I32 | None]:
+    """All rows, and which of them stands where if they are many: along a space-filling curve.
+
+    Places are found in a sweep of its own that reads nothing but positions: reading a file twice
+    takes less time than moving rows, and less memory. SH is in float16 if that will do, which is
+    known at the end. If not, all is read again: keeping float32 as well until then would take more
+    memory than the file.
+    """
+    numbers = places = None
+    before, goal = 0, sweeps.count
+    if sweeps.count >= curve.ROWS_MIN:
+        before, goal = goal, 2 * goal
+        numbers = _numbers(sweeps, layout, goal)
+        places = curve.inverse(numbers)
+
+    def decoded(half: bool) -> SceneBuilder:
+        builder = SceneBuilder(sweeps.count, layout.coefficients, wide=layout.wide, half=half)
+        if sweeps.left_out:
+            builder.dropped[SAMPLED] = sweeps.left_out
+
+        def add(part: slice, rows: NDArray[np.void]) -> bool:
+            to = part if places is None else places[part]
+            layout.add(builder, to, rows, options.raw_opacity)
+            return builder.sh_error < SH_ERROR_MAX
+
+        sweeps.sweep(add, before, goal)
+        return builder
+
+    builder = None if options.sh_float32 else decoded(half=True)
+    if builder is None or builder.sh_error >= SH_ERROR_MAX:
+        del builder  # its memory is needed
+        builder = decoded(half=False)
+    return builder, numbers
+
+
+def _numbers(sweeps: Sweeps, layout: Layout, goal: int) -> I32:
+    """Rows along the curve."""
+    means = np.empty((sweeps.count, 3), np.float64 if layout.wide else np.float32)
+
+    def keep(part: slice, rows: NDArray[np.void]) -> bool:
+        means[part] = layout.means(rows)
+        return True
+
+    sweeps.sweep(keep, 0, goal)
+    return curve.rows_along_curve(means)
 
 
 def recognises(start: bytes) -> bool:

@@ -14,10 +14,7 @@ import numpy as np
 
 from tsplat.core.errors import TsplatError
 from tsplat.core.types import Frame
-from tsplat.quality.sweep import Row
-
-FLOOR = 1e-4
-"""8-bit levels: a smaller error is drawn as this."""
+from tsplat.quality.sweep import FLOOR, Row
 
 DOTS = 120
 """px per inch."""
@@ -57,6 +54,8 @@ def _figure(rows: Sequence[Row], title: str, size: tuple[float, float]) -> Any:
     _name(axes, rows)
     axes.set_xscale("log")
     axes.set_yscale("log")
+    for formatter in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+        formatter(lambda value, _: f"{value:g}")
     axes.set_xlabel("ms per picture")
     axes.set_ylabel("error, 8-bit levels (99.9th percentile)")
     axes.set_title(title, loc="left", fontsize=10)
@@ -88,7 +87,7 @@ def _name(axes: Any, rows: Sequence[Row]) -> None:
     """Words beside the best rows, and beside the presets of the fastest backend."""
     fastest = min(rows, key=lambda row: row.seconds()[0]).backend
     named = [r for r in rows if r.optimal or (r.backend == fastest and "=" not in r.setting)]
-    for row in named:
+    for row in {row.setting: row for row in sorted(named, key=lambda r: -r.seconds()[0])}.values():
         axes.annotate(
             row.setting, (1e3 * row.seconds()[0], max(row.error.p999, FLOOR)),
             xytext=(4, 4), textcoords="offset points", fontsize=6.5, color="0.25",

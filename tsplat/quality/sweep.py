@@ -138,9 +138,13 @@ def make_sweep(
     return Sweep(scene, cameras, rows, threads, runs)
 
 
+FLOOR = 1e-3
+"""8-bit levels: errors below it are all alike, being float32's own."""
+
+
 def mark_optimal(rows: Sequence[Row]) -> None:
     """Sets ``optimal`` where no other row is at least as good in time and error, better in one."""
-    points = [(row.seconds()[0], row.error.p999) for row in rows]
+    points = [(row.seconds()[0], max(row.error.p999, FLOOR)) for row in rows]
     for row, (time, error) in zip(rows, points, strict=True):
         row.optimal = not any(
             t <= time and e <= error and (t, e) != (time, error) for t, e in points

@@ -1,4 +1,4 @@
-"""Builds the C kernel with cffi in API mode; run by setup.py, importable without NumPy.
+"""Builds what is in C with cffi in API mode; run by setup.py, importable without NumPy.
 
 python -m tsplat.backends.cffi.build --constants    # rewrite constants.h from constants.py
 """
@@ -15,6 +15,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
 CONSTANTS = HERE.parents[1] / "core" / "constants.py"
 MODULE = "tsplat.backends.cffi._kernel"
+DECODER = "tsplat.io._decode"
 
 
 def constants_h() -> str:
@@ -30,25 +31,29 @@ def constants_h() -> str:
     return "\n".join(lines) + "\n"
 
 
-def declarations() -> str:
-    """``kernel.h`` without its preprocessor lines, as cffi's cdef."""
-    text = (HERE / "kernel.h").read_text()
-    return "".join(line for line in text.splitlines(True) if not line.startswith("#"))
+def declarations(header: Path) -> str:
+    """``header`` without its preprocessor lines, as cffi's cdef."""
+    return "".join(line for line in header.read_text().splitlines(True) if line[0] != "#")
 
 
-def make_ffi(compile_args: list[str], link_args: list[str]) -> Any:
-    """The ffi builder of the extension module; paths are relative to the project's root."""
+def make_ffi(compile_args: list[str], link_args: list[str], module: str = MODULE) -> Any:
+    """The ffi builder of an extension module; paths are relative to the project's root.
+
+    Module ``a.b._c`` is made of a/b/c.c and its interface a/b/c.h.
+    """
     from cffi import FFI
 
+    *package, name = module.split(".")
+    folder = Path(*package)
+    header = folder / f"{name[1:]}.h"
     ffi = FFI()
-    ffi.cdef(declarations())
-    here = HERE.relative_to(ROOT)
+    ffi.cdef(declarations(ROOT / header))
     ffi.set_source(
-        MODULE,
-        '#include "kernel.h"',
-        sources=[(here / "kernel.c").as_posix()],
-        include_dirs=[here.as_posix()],
-        depends=[(here / name).as_posix() for name in sorted(p.name for p in HERE.glob("*.h"))],
+        module,
+        f'#include "{header.name}"',
+        sources=[header.with_suffix(".c").as_posix()],
+        include_dirs=[folder.as_posix()],
+        depends=[(folder / p.name).as_posix() for p in sorted((ROOT / folder).glob("*.h"))],
         extra_compile_args=compile_args,
         extra_link_args=link_args,
     )

@@ -83,6 +83,6 @@ def _order(scene: Scene, threshold: float) -> I32:
     """Rows that can reach ``threshold`` [count], along the curve."""
     seen = scene.opacities >= np.float32(max(threshold, ALPHA_FLOOR))
     if scene.numbers is not None:  # the loader moved them there
-        return np.flatnonzero(seen).astype(np.int32)
+        return np.arange(len(scene), dtype=np.int32)[seen]
     order = curve_order(scene.means)
     return order[seen[order]]
