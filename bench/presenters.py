@@ -316,7 +316,7 @@ def main() -> None:
         moving = f"{row.moving:.1f}" if row.moving > 0 else "lost in starting"
         cells = [
             row.name,
-            f"{row.moving:.1f}",
+            moving,
             f"{row.size / 1e3:.1f}",
             f"{exact} {row.note}",
             still,
