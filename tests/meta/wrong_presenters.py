@@ -67,8 +67,11 @@ def long_chunks(data):
 
 
 def all_keys_again(data):
-    """Every chunk with the keys of the first."""
+    """Every chunk with the keys of the first; two of them at least."""
+    if not data:
+        return data
     keys = re.match(rb"\x1b_G(.*?),m=", data)[1]
+    data = re.sub(rb"m=([01]);([^\x1b]{4})", rb"m=1;\2\x1b\\\x1b_Gm=\1;", data, count=1)
     return data.replace(b"\x1b_Gm=", b"\x1b_G" + keys + b",m=")
 
 
