@@ -87,6 +87,9 @@ examples:
   tsplat plugins
   TSPLAT_PLUGINS= tsplat plugins        without third-party plugins
   TSPLAT_PLUGINS=a,b tsplat plugins     only these two
+  tsplat plugins --terminal foot,-sync  what would be chosen in another terminal
+
+In a terminal it also says what that was asked and answered, and which presenter follows.
 """
 CHECK_EXAMPLES = """\
 examples:
@@ -262,9 +265,9 @@ def _add_pose(parser: argparse.ArgumentParser) -> None:
 
 def _add_presenter(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--presenter", default="auto", metavar="P",
+        "--presenter", metavar="P",
         help="kitty, iterm2, sixel, blocks, halfblock, braille, letters, another of `tsplat "
-        "plugins`, or auto (default)",
+        "plugins`, or auto ($TSPLAT_PRESENTER, else auto)",
     )  # fmt: skip
 
 
@@ -272,6 +275,14 @@ def _add_background(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B", help="0..1 each"
     )
+
+
+def _add_terminal(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--terminal", metavar="T",
+        help="what the terminal is, whatever it answers: a name such as foot, features such as "
+        "+sixel,-kitty, colors=256 ($TSPLAT_TERMINAL)",
+    )  # fmt: skip
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -302,6 +313,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--fps", type=_positive, default=30.0, metavar="N",
         help="frames a second (30): a moving picture has as many pixels as that allows",
     )  # fmt: skip
+    _add_terminal(view)
     view.add_argument(
         "--max-rate", type=_bits, metavar="R",
         help="send at most so many bits/s, such as 500k or 2M (default: what the link takes)",
@@ -374,6 +386,7 @@ def make_parser() -> argparse.ArgumentParser:
     info.add_argument("--json", action="store_true", help="print it as JSON")
 
     plugins = add("plugins", "list backends, presenters and readers", PLUGINS_EXAMPLES)
+    _add_terminal(plugins)
     plugins.add_argument("--json", action="store_true", help="print it as JSON")
 
     check = add("check", "compare every backend with the reference", CHECK_EXAMPLES)

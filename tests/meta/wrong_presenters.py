@@ -72,8 +72,13 @@ def long_chunks(data):
 
 
 def all_keys_again(data):
-    """Every chunk with the keys of the first."""
+    """Every chunk with the keys of the first; two of them at least."""
+    if not data:
+        return data
     keys = re.match(rb"\x1b_G(.*?),m=", data)[1]
+    first = re.search(rb"m=([01]);([^\x1b]{4})", data)
+    split = b"m=1;" + first[2] + b"\x1b\\\x1b_Gm=" + first[1] + b";"
+    data = data[: first.start()] + split + data[first.end() :]
     return data.replace(b"\x1b_Gm=", b"\x1b_G" + keys + b",m=")
 
 

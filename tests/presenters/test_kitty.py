@@ -1,14 +1,19 @@
 """kitty's bytes, decoded again, are the frame."""
 
 import re
+import zlib
+from base64 import b64encode
+from dataclasses import replace
+from hashlib import sha256
 
 import numpy as np
 import pytest
 from pictures import frame_of, photo
 
-from tsplat.presenters.base import Terminal
+from tsplat.presenters.base import Shared, Terminal
 from tsplat.presenters.kitty import KITTY
 from tsplat.testing import decoders
+from tsplat.testing.presenting import Decoding, presenter_checks, terminals
 
 ROOM = Terminal(columns=400, rows=100, kitty=True)
 
@@ -81,3 +86,60 @@ def test_unsupported_says_why(terminal, reason):
     """Only a terminal that answered, with nothing in between, is sent pictures."""
     assert reason in KITTY.unsupported(terminal)
     assert KITTY.unsupported(ROOM) is None
+
+
+def shelf():
+    """Memory that a terminal and we both see: a way to share, and one to read."""
+    held = {}
+
+    def share(data):
+        name = sha256(data).hexdigest().encode()
+        held[name] = bytes(data)
+        return Shared("s", b64encode(name))
+
+    def read(medium, name):
+        return held.get(name) if medium == "s" else None
+
+    return share, read
+
+
+def test_shared_memory():
+    """Where memory is shared the frame goes there as it is, and a hundred bytes to the tty."""
+    share, read = shelf()
+    terminal = replace(ROOM, share=share)
+    image = photo(64, 36)
+    data = KITTY.encode(frame_of(image), terminal, None)
+    assert len(data) < 200
+    [(keys, _)] = commands(data)
+    assert (keys["t"], keys["f"], keys["S"]) == ("s", "24", str(image.size))
+    shown = decoders.kitty(data, terminal, read)
+    assert shown.faults == ()
+    np.testing.assert_array_equal(shown.picture, image)
+
+
+def test_no_room_to_share():
+    """When nothing can be shared after all, the bytes go into the sequence."""
+    terminal = replace(ROOM, share=lambda data: None)
+    image = photo(9, 7)
+    shown = decoders.kitty(KITTY.encode(frame_of(image), terminal, None), terminal)
+    np.testing.assert_array_equal(shown.picture, image)
+
+
+def test_in_the_sequence():
+    """A PNG, a quarter smaller at least than zlib makes the bare pixels."""
+    image = photo(320, 180)
+    [(keys, file)] = commands(KITTY.encode(frame_of(image), ROOM, None))
+    assert keys["f"] == "100"
+    assert len(file) < 0.75 * len(zlib.compress(image.tobytes(), 1))
+
+
+@pytest.mark.parametrize(
+    "name", ["size", "controls", "pure", "rounding", "stream", "shape", "picture", "changes"]
+)
+def test_conformance_with_shared_memory(name):
+    """All that holds of bytes in the sequence holds of shared memory."""
+    share, read = shelf()
+    screens = terminals().map(lambda terminal: replace(terminal, share=share))
+    decoding = Decoding(lambda data, terminal: decoders.kitty(data, terminal, read))
+    [check] = [c for c in presenter_checks(KITTY, decoding, 40, screens) if c.name == name]
+    check()

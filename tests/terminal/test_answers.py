@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
 from tsplat.terminal.answers import (
+    KITTY_QUESTION,
     QUESTIONS,
     parse_answers,
     resized,
@@ -79,6 +80,8 @@ TMUX38 = (
 )
 TMUX = {"TERM": "tmux-256color", "TERM_PROGRAM": "tmux", "TMUX": "/tmp/tmux,1,0", **COLOR}
 
+ALLOW = "tmux lets no pictures through until told `tmux set -g allow-passthrough on`"
+
 # name: answers, environment, TIOCGWINSZ, and what to make of them
 RECORDED = {
     "kitty 0.26": (KITTY26, {"TERM": "xterm-kitty", **COLOR}, WINSIZE, Terminal(
@@ -86,7 +89,7 @@ RECORDED = {
         name="kitty(0.26.5)")),
     "kitty 0.48": (KITTY48, {"TERM": "xterm-kitty"}, WINSIZE, Terminal(
         90, 30, 10, 19, kitty=True, synchronized=True, draws_blocks=True,
-        name="kitty(0.48.2)")),
+        name="kitty(0.48.2)", placeholders=True)),
     "konsole 22": (KONSOLE22, XTERM256, WINSIZE, Terminal(
         90, 30, 10, 19, kitty=True, iterm2=True, sixel=True, sixel_max=(16384, 16384),
         draws_blocks=True,
@@ -117,7 +120,7 @@ RECORDED = {
         90, 30, 867 / 90, 19, kitty=True, iterm2=True, sixel=True, sixel_registers=4096,
         sixel_max=(4096, 4096), synchronized=True, name="xterm.js(6.1.0-beta.304)")),
     "tmux 3.3a": (TMUX33, TMUX, (23, 80, 800, 437), Terminal(
-        80, 23, 10, 19, name="tmux 3.3a", multiplexer="tmux")),
+        80, 23, 10, 19, name="tmux 3.3a", multiplexer="tmux", advice=ALLOW)),
     "tmux 3.8": (TMUX38, TMUX, (23, 80, 800, 460), Terminal(
         80, 23, 10, 20, sixel=True, sixel_registers=1024, synchronized=True, name="tmux 3.8",
         multiplexer="tmux")),
@@ -160,6 +163,49 @@ def test_typed_text_is_what_is_left(name):
 def test_colours(answers, environ, colors):
     """NO_COLOR first, then what is known to lie, then every way to say 24 bits, then TERM."""
     assert parse_answers(answers, environ, WINSIZE).colors == colors
+
+
+# What came through tmux 3.3a in kitty: first tmux's own answers, then these
+AROUND26 = OK + b"\x1b_Gi=32;OK\x1b\\" + version(b"kitty(0.26.5)") + b"\x1b[?62;c"
+AROUND48 = OK + b"\x1b_Gi=32;OK\x1b\\" + version(b"kitty(0.48.2)") + b"\x1b[?62;52;c"
+AROUND_FOOT = version(b"foot(1.28.0)") + b"\x1b[?62;4;22c"
+
+
+@pytest.mark.parametrize(
+    ("around", "expected"),
+    [
+        (b"", (False, "", False, "", ALLOW)),
+        (AROUND48, (True, "kitty(0.48.2)", True, "s", "")),
+        (AROUND26, (True, "kitty(0.26.5)", False, "s", "")),
+        (AROUND_FOOT, (False, "foot(1.28.0)", False, "", "")),
+        (OK + version(b"WezTerm 20240203") + b"\x1b[?65;4c",
+         (True, "WezTerm 20240203", False, "", "")),
+        (OK + version(b"ghostty 1.3.0") + b"\x1b[?62c", (True, "ghostty 1.3.0", True, "", "")),
+    ],
+)  # fmt: skip
+def test_around_tmux(around, expected):
+    """Kitty's pictures count as there if the terminal around answers; advice if it does not."""
+    told = parse_answers(TMUX33, TMUX, WINSIZE, around)
+    facts = told.kitty, told.around, told.placeholders, told.media, told.advice
+    assert facts == expected
+    assert told.name == "tmux 3.3a"
+
+
+@pytest.mark.parametrize(
+    ("answers", "around", "features", "sixel"),
+    [
+        (TMUX38, b"", "", True),  # nothing known: tmux is believed
+        (TMUX38, b"", "256,RGB,sixel,title", True),
+        (TMUX38, b"", "256,RGB,title", False),
+        (TMUX38, AROUND_FOOT, "", True),
+        (TMUX38, AROUND48, "256,sixel", False),
+        (TMUX33, AROUND_FOOT, "256,sixel", False),
+    ],
+)
+def test_sixel_in_tmux(answers, around, features, sixel):
+    """Tmux and the terminal around it must both have it, or words are shown instead."""
+    told = parse_answers(answers, TMUX, WINSIZE, around, features)
+    assert told.sixel is sixel
 
 
 @pytest.mark.parametrize(
@@ -226,12 +272,34 @@ def test_resizing_keeps_the_cell():
     assert resized(terminal, (40, 120, 0, 0)).cell_width == 10
 
 
-def test_questions_end_with_da1():
-    """DA1 comes last, once; no sixel, no picture and no medium but the escape itself is tried."""
-    assert QUESTIONS.endswith(b"\x1b[c")
-    assert QUESTIONS.count(b"\x1b[c") == 1
-    assert b"a=q" in QUESTIONS
-    assert b"t=s" not in QUESTIONS
+def test_questions_are_only_asked():
+    """Nothing is tried out on the screen, and tmux gets no title: kitty's query is by itself."""
+    assert b"a=q" in KITTY_QUESTION
+    assert b"\x1b_" not in QUESTIONS
+    assert b"\x1b[c" not in QUESTIONS
+
+
+@pytest.mark.parametrize(
+    ("said", "media"),
+    [
+        (b"32;OK", "s"),
+        (b"33;OK", "t"),
+        (b"32;ENOTSUPPORTED:", ""),
+        (b"32;OK\x1b\\\x1b_Gi=33;OK", "st"),
+        (b"132;OK", ""),
+    ],
+)
+def test_media(said, media):
+    """Each medium by the answer to its own question; an error is none."""
+    answers = OK + b"\x1b_Gi=" + said + b"\x1b\\\x1b[?62c"
+    assert parse_answers(answers, {}, WINSIZE).media == media
+
+
+@pytest.mark.parametrize("name", ["SSH_CONNECTION", "SSH_TTY", "SSH_CLIENT"])
+def test_remote(name):
+    """Any of sshd's variables says that a network is in between."""
+    assert parse_answers(b"", {name: "x"}, WINSIZE).remote
+    assert not parse_answers(b"", {name: ""}, WINSIZE).remote
 
 
 @given(st.binary(max_size=200))

@@ -28,7 +28,10 @@ ALL = {"kitty": True, "iterm2": True, "sixel": True}
         (Terminal(draws_blocks=True, name="VTE(7600)"), "blocks"),
         (Terminal(), "halfblock"),
         (Terminal(glyphs="octants"), "halfblock"),
-        (Terminal(**ALL, multiplexer="tmux"), "halfblock"),
+        (Terminal(kitty=True, iterm2=True, multiplexer="tmux"), "halfblock"),
+        (Terminal(sixel=True, multiplexer="tmux"), "sixel"),
+        (Terminal(**ALL, multiplexer="tmux", around="kitty(0.48.2)", placeholders=True), "kitty"),
+        (Terminal(kitty=True, multiplexer="tmux", around="WezTerm 1"), "halfblock"),
     ],
 )
 def test_auto(terminal, name):

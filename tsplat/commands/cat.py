@@ -36,7 +36,7 @@ SPARE = SPARE_ROWS + 1
 def run(arguments: argparse.Namespace) -> int:
     """One scene after the other; 1 if one of them could not be shown."""
     terminal = _terminal(os.environ)
-    wanted = arguments.presenter
+    wanted = arguments.presenter or os.environ.get("TSPLAT_PRESENTER") or "auto"
     if wanted == "auto" and not terminal.tty:
         wanted = "halfblock"
     presenter, _ = choose_presenter(plugins().presenters, terminal, wanted)

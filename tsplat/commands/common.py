@@ -181,3 +181,21 @@ def unwinding() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def terminal_environ(spec: str | None) -> dict[str, str]:
+    """The environment, with ``--terminal``'s words where they are given.
+
+    Raises:
+        TerminalError: the words are not understood.
+    """
+    import os
+
+    from tsplat.presenters.base import Terminal
+    from tsplat.terminal.profiles import overridden
+
+    environ = dict(os.environ)
+    if spec is not None:
+        environ["TSPLAT_TERMINAL"] = spec
+    overridden(Terminal(), environ.get("TSPLAT_TERMINAL", ""))  # before the screen is touched
+    return environ

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tsplat.commands.common import calibrated, load, params, say
+from tsplat.commands.common import calibrated, load, params, say, terminal_environ
 from tsplat.core.camera import Camera
 from tsplat.core.errors import ParamsError, TerminalError
 from tsplat.paths import load_path
@@ -46,8 +46,10 @@ def run(arguments: argparse.Namespace) -> int:
             "--verify compares with the contract's picture: leave out --quality, --set, --max-error"
         )
     registry = plugins()
-    if arguments.presenter != "auto":
-        registry.find("presenter", arguments.presenter)
+    wanted_presenter = arguments.presenter or os.environ.get("TSPLAT_PRESENTER") or "auto"
+    if wanted_presenter != "auto":
+        registry.find("presenter", wanted_presenter)
+    environ = terminal_environ(arguments.terminal)
     path = load_path(arguments.play) if arguments.play else None
     background = arguments.background or (0.0, 0.0, 0.0)
     scene = load(arguments)
@@ -69,14 +71,14 @@ def run(arguments: argparse.Namespace) -> int:
             stack.callback(_report, verifier)
         # Before the screen: its threads are waited for when the terminal is given back already
         pipeline: Pipeline[Picture, Drawn, Encoded] = stack.enter_context(Pipeline())
-        screen = stack.enter_context(Screen())
+        screen = stack.enter_context(Screen(environ=environ))
         screen.max_rate = arguments.max_rate / 8 if arguments.max_rate else None
         orbit = frame_orbit(scene, *screen.terminal.pixels, FOV)
         view = View(orbit, orbit, FOV)
         if path is not None:
             view = view.playing(path)
         Viewer(
-            screen, scene, plan, view, registry.presenters, arguments.presenter, background,
+            screen, scene, plan, view, registry.presenters, wanted_presenter, background,
             verifier, pipeline=pipeline, fps=arguments.fps,
         ).run()  # fmt: skip
     return 1 if verifier is not None and verifier.broken else 0

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from tsplat.core.errors import PluginError, printable
 
 if TYPE_CHECKING:  # tsplat.terminal needs Terminal, but not NumPy
     from tsplat.core.types import U8, Frame
+
+    Buffer = bytes | memoryview
+else:
+    Buffer = object
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Bytes left where a terminal on the same machine finds them."""
+
+    medium: str  # "s": POSIX shared memory, "t": a temporary file; kitty's letters
+    name: bytes  # base64 of its name
 
 
 @dataclass(frozen=True)
@@ -32,6 +44,14 @@ class Terminal:
     name: str = ""  # what it calls itself (XTVERSION), printable
     multiplexer: str = ""  # "tmux" or "screen" when one is in between
     tty: bool = True  # False: output is not a terminal
+    remote: bool = False  # a network is in between: bytes are dear
+    around: str = ""  # name of the terminal around tmux, if tmux lets a question through to it
+    placeholders: bool = False  # knows kitty's cells that stand for parts of a picture
+    advice: str = ""  # what the user can do to see better pictures
+    media: str = ""  # kitty's letters of what it said it can read: "s", "t"
+    share: Callable[[Buffer], Shared | None] | None = field(default=None, compare=False, repr=False)
+    """Leaves bytes where the terminal finds them; None, or returns None, where that is not to be
+    had. The one thing here that is no plain fact: presenters without it send all bytes."""
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -81,7 +101,7 @@ def no_pictures(terminal: Terminal) -> str | None:
     if not terminal.tty:
         return "the output is not a terminal"
     if terminal.multiplexer:
-        return f"{terminal.multiplexer} does not let pictures through by itself"
+        return terminal.advice or f"{terminal.multiplexer} does not let pictures through"
     return None
 
 

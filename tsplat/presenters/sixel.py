@@ -173,8 +173,6 @@ def unsupported(terminal: Terminal) -> str | None:
         return "the output is not a terminal"
     if not terminal.sixel:
         return "the terminal does not list sixel among its attributes"
-    if terminal.multiplexer:  # tmux 3.4+ may claim it whatever is around it, and print text then
-        return f"{terminal.multiplexer} answers for itself, not for the terminal around it"
     return None
 
 

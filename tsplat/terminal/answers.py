@@ -29,20 +29,27 @@ from math import isfinite
 
 from tsplat.core.errors import TerminalError, printable
 from tsplat.presenters.base import Terminal
+from tsplat.terminal.profiles import overridden
+from tsplat.terminal.sharing import QUESTION_IDS, is_remote
 
 Winsize = tuple[int, int, int, int]  # rows, columns, xpixel, ypixel as TIOCGWINSZ has them
 
 DA1 = b"\x1b[c"
+XTVERSION = b"\x1b[>q"
+KITTY_ID = 31
+KITTY_QUESTION = b"\x1b_Gi=%d,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\" % KITTY_ID
+"""Kitty graphics: one pixel, not kept. tmux takes it, and those about media, for a title."""
+
 QUESTIONS = (
-    b"\x1b_Gi=31,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\"  # kitty graphics: one pixel, not kept
     b"\x1b[>q"  # XTVERSION
     b"\x1b[?2026$p"  # DECRQM: synchronized output
     b"\x1b[14t\x1b[16t"  # XTWINOPS: text area, cell; px
     b"\x1b[?1;1;0S\x1b[?2;4;0S"  # XTSMGRAPHICS: registers now, largest sixel picture
     b"\x1b]1337;ReportCellSize\x1b\\"
     b"\x1bP+q524742\x1b\\\x1bP+q5463\x1b\\"  # XTGETTCAP: RGB, Tc
-    b"\x1b[48;2;1;2;3m\x1bP$qm\x1b\\\x1b[m" + DA1  # DECRQSS: is a 24-bit colour kept?
+    b"\x1b[48;2;1;2;3m\x1bP$qm\x1b\\\x1b[m"  # DECRQSS: is a 24-bit colour kept?
 )
+"""All but kitty's, and DA1, which ends them."""
 
 DA1_ANSWER = re.compile(rb"\x1b\[\?([0-9;]*)c")
 _ANSWER = re.compile(
@@ -53,7 +60,8 @@ _ANSWER = re.compile(
     rb"|\x1b\][^\x1b\x07]*(?:\x1b\\|\x07)"  # OSC
 )
 _XTVERSION = re.compile(rb"\x1bP>\|([^\x1b]*)\x1b\\")
-_KITTY_OK = re.compile(rb"\x1b_Gi=31[^;\x1b]*;OK\x1b\\")
+_KITTY_OK = re.compile(rb"\x1b_Gi=([0-9]{1,9})[^;\x1b]*;OK\x1b\\")
+_KITTY_VERSION = re.compile(r"kitty\(([0-9]{1,4})\.([0-9]{1,4})")
 _SYNCHRONIZED = re.compile(rb"\x1b\[\?2026;([0-9]+)\$y")
 _AREA = re.compile(rb"\x1b\[4;([0-9]{1,6});([0-9]{1,6})t")
 _CELL = re.compile(rb"\x1b\[6;([0-9]{1,6});([0-9]{1,6})t")
@@ -87,20 +95,43 @@ GLYPHS = "TSPLAT_GLYPHS"
 GLYPH_SETS = ("halves", "quadrants", "sextants", "octants")
 
 
+def holds_answer(data: bytes) -> bool:
+    """Whether any answer is in ``data``: a terminal that begins to answer will end."""
+    return _ANSWER.search(data) is not None
+
+
 def split_answers(data: bytes) -> tuple[bytes, bytes]:
     """``data`` as (answers, the rest: what somebody typed meanwhile)."""
     return b"".join(m.group() for m in _ANSWER.finditer(data)), _ANSWER.sub(b"", data)
 
 
-def parse_answers(answers: bytes, environ: Mapping[str, str], winsize: Winsize) -> Terminal:
+def name_in(answers: bytes) -> str:
+    """What XTVERSION's answer among them says, printable; "" for none."""
+    version = _XTVERSION.search(answers)
+    return printable(version.group(1).decode("utf-8", "replace")) if version else ""
+
+
+def parse_answers(
+    answers: bytes,
+    environ: Mapping[str, str],
+    winsize: Winsize,
+    around: bytes = b"",
+    features: str = "",
+) -> Terminal:
     """A terminal's facts from its answers to ``QUESTIONS``, the environment and the tty's size.
 
+    Inside tmux ``around`` is what the terminal around it said to kitty's questions, XTVERSION and
+    DA1, and ``features`` what tmux believes of it (its format ``client_termfeatures``).
+
     A protocol counts as there only if it was confirmed: kitty prints sixel data as text, and
-    terminals without kitty graphics or OSC 1337 may print those.
+    terminals without kitty graphics or OSC 1337 may print those. ``TSPLAT_TERMINAL`` has the last
+    word.
+
+    Raises:
+        TerminalError: it is not understood.
     """
-    version = _XTVERSION.search(answers)
-    said = printable(version.group(1).decode("utf-8", "replace")) if version else ""
-    mux = _multiplexer(said, environ)
+    said = name_in(answers)
+    mux = multiplexer(said, environ)
     da1 = DA1_ANSWER.search(answers)
     attributes = da1.group(1).split(b";")[1:] if da1 else []
     registers = _REGISTERS.search(answers)
@@ -108,11 +139,16 @@ def parse_answers(answers: bytes, environ: Mapping[str, str], winsize: Winsize) 
     sync = _SYNCHRONIZED.search(answers)
     name = said or _name_by_environment(environ)
     glyphs, draws_blocks = _glyphs(name, mux, environ)
+    kitty_ok = {int(number) for number in _KITTY_OK.findall(around if mux == "tmux" else answers)}
+    outside = name_in(around)
+    sixel = b"4" in attributes
+    if mux == "tmux":
+        sixel = sixel and _shows_sixel(around, features)
     terminal = Terminal(
         colors=_colors(answers, said, mux, environ),
-        kitty=_KITTY_OK.search(answers) is not None,
+        kitty=KITTY_ID in kitty_ok,
         iterm2=not mux and _has_iterm2(answers, said, environ),
-        sixel=b"4" in attributes,
+        sixel=sixel,
         sixel_registers=max(2, int(registers.group(1))) if registers else 256,
         sixel_max=(int(geometry.group(1)), int(geometry.group(2))) if geometry else (0, 0),
         synchronized=sync is not None and sync.group(1) in (b"1", b"2", b"3"),
@@ -120,8 +156,42 @@ def parse_answers(answers: bytes, environ: Mapping[str, str], winsize: Winsize) 
         draws_blocks=draws_blocks,
         name=name,
         multiplexer=mux,
+        around=outside,
+        placeholders=_has_placeholders(outside or said),
+        advice="" if sixel else _advice(mux, around),
+        remote=is_remote(environ),
+        media="".join(medium for medium, n in QUESTION_IDS.items() if n in kitty_ok),
     )
-    return _sized(terminal, _with_answers(winsize, answers, environ), _cell(answers))
+    terminal = _sized(terminal, _with_answers(winsize, answers, environ), _cell(answers))
+    return overridden(terminal, environ.get("TSPLAT_TERMINAL", ""))
+
+
+def _shows_sixel(around: bytes, features: str) -> bool:
+    """Whether the terminal around a tmux that has sixel has it, too; text comes out if not.
+
+    tmux (3.4 on, if built with it) lists attribute 4 whatever is around it. Where nothing can be
+    found out about that, tmux is believed.
+    """
+    if da1 := DA1_ANSWER.search(around):
+        return b"4" in da1.group(1).split(b";")[1:]
+    return not features or "sixel" in features.split(",")
+
+
+def _has_placeholders(name: str) -> bool:
+    """Whether kitty's placeholders are shown: by kitty from 0.28 on, and by Ghostty.
+
+    Others answer kitty's query, too, and show boxes instead.
+    """
+    if version := _KITTY_VERSION.match(name):
+        return (int(version.group(1)), int(version.group(2))) >= (0, 28)
+    return name.lower().startswith("ghostty")
+
+
+def _advice(mux: str, around: bytes) -> str:
+    """What to do where a multiplexer lets no question through."""
+    if mux == "tmux" and not DA1_ANSWER.search(around):
+        return "tmux lets no pictures through until told `tmux set -g allow-passthrough on`"
+    return "screen lets no pictures through; tmux can" if mux == "screen" else ""
 
 
 def resized(terminal: Terminal, winsize: Winsize) -> Terminal:
@@ -182,7 +252,7 @@ def _cell(answers: bytes) -> tuple[float, float] | None:
     return None
 
 
-def _multiplexer(said: str, environ: Mapping[str, str]) -> str:
+def multiplexer(said: str, environ: Mapping[str, str]) -> str:
     """tmux, screen or nothing. A name that is neither wins over variables a window inherited."""
     if said:
         return "tmux" if said.startswith("tmux") else ""

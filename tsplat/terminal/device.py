@@ -9,19 +9,30 @@ import struct
 import termios
 import time
 import tty
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from tsplat.presenters.base import Terminal
+from tsplat.presenters.placeholders import through_tmux
 from tsplat.terminal.answers import (
+    DA1,
     DA1_ANSWER,
+    KITTY_QUESTION,
     QUESTIONS,
+    XTVERSION,
     Winsize,
+    holds_answer,
+    multiplexer,
+    name_in,
     parse_answers,
     split_answers,
 )
+from tsplat.terminal.sharing import Sharing, is_remote
 
-PROBE_SECONDS = 0.15
+PROBE_SECONDS = 0.15  # for the first answer, on this machine
+REMOTE_SECONDS = 1.5  # for the first answer over a network
+ANSWERING_SECONDS = 2.0  # for the last answer, once there is a first
 ENTER_ALTERNATE = b"\x1b[?1049h"
 LEAVE_ALTERNATE = b"\x1b[?1049l"
 READ_SIZE = 1 << 16
@@ -120,10 +131,22 @@ def write_some(fd: int, data: memoryview) -> int:
     return taken
 
 
+def patience(environ: Mapping[str, str]) -> float:
+    """How long a terminal may take to begin to answer, in s. What never does costs that."""
+    return REMOTE_SECONDS if is_remote(environ) else PROBE_SECONDS
+
+
 def read_answers(fd: int, seconds: float) -> bytes:
-    """All that comes until a DA1 answer is among it, or ``seconds`` have passed."""
-    data, end = b"", time.monotonic() + seconds
+    """All that comes until a DA1 answer is among it.
+
+    Gives up if no answer has begun after ``seconds``, else after ``ANSWERING_SECONDS``: over a slow
+    link one answer may come long after another.
+    """
+    data, begun = b"", time.monotonic()
+    end = begun + seconds
     while not DA1_ANSWER.search(data):
+        if holds_answer(data):
+            end = max(end, begun + ANSWERING_SECONDS)
         left = end - time.monotonic()
         if left <= 0 or not select.select([fd], [], [], left)[0]:
             break
@@ -139,34 +162,105 @@ def read_answers(fd: int, seconds: float) -> bytes:
     return data
 
 
-def ask(fd_in: int, fd_out: int, seconds: float) -> bytes:
-    """What a raw tty sends back when asked all ``QUESTIONS`` at once, typed keys included."""
-    write_all(fd_out, QUESTIONS, seconds)
-    return read_answers(fd_in, seconds)
+@dataclass(frozen=True)
+class Heard:
+    """What came back when a terminal was asked."""
+
+    answers: bytes
+    typed: bytes = b""  # keys pressed meanwhile
+    around: bytes = b""  # what the terminal around tmux said
+    features: str = ""  # what tmux believes of it
+
+    def terminal(self, environ: Mapping[str, str], winsize: Winsize) -> Terminal:
+        """The facts in it."""
+        return parse_answers(self.answers, environ, winsize, self.around, self.features)
+
+
+def ask(
+    fd_in: int, fd_out: int, environ: Mapping[str, str], sharing: Sharing, seconds: float
+) -> Heard:
+    """What a raw tty sends back when asked all questions at once.
+
+    Where the environment tells of a multiplexer, kitty's questions wait for the answer: tmux
+    would take them for a title. Inside tmux the terminal around it is asked, past tmux; its answers
+    are typed into this pane. Where tmux lets nothing through, that costs ``seconds`` once more.
+    """
+
+    def exchange(questions: Iterable[bytes]) -> None:
+        write_all(fd_out, b"".join(questions), seconds)
+        found, keys = split_answers(read_answers(fd_in, seconds))
+        answers.append(found)
+        typed.append(keys)
+
+    answers: list[bytes] = []
+    typed: list[bytes] = []
+    if not multiplexer("", environ):
+        exchange((KITTY_QUESTION, *sharing.questions(), QUESTIONS, DA1))
+    else:
+        exchange((QUESTIONS, DA1))
+    mux = multiplexer(name_in(answers[0]), environ)
+    if mux == "tmux":
+        through = KITTY_QUESTION, *sharing.questions(), XTVERSION, DA1
+        exchange(map(through_tmux, through))
+        return Heard(answers[0], b"".join(typed), answers[1], tmux_features(environ))
+    if not mux and multiplexer("", environ):  # a window that was opened from inside one
+        exchange((KITTY_QUESTION, *sharing.questions(), DA1))
+    return Heard(b"".join(answers), b"".join(typed))
+
+
+def tmux_features(environ: Mapping[str, str]) -> str:
+    """What tmux believes of the terminal it is in: "256,RGB,sixel,title" or so; "" if unknown."""
+    if not environ.get("TMUX"):  # tmux on another machine
+        return ""
+    import subprocess
+
+    command = "tmux", "display-message", "-p", "#{client_termfeatures}"
+    try:
+        said = subprocess.run(
+            command, env=dict(environ), stdin=subprocess.DEVNULL, capture_output=True, text=True,
+            timeout=PROBE_SECONDS, check=True,
+        )  # fmt: skip
+    except (OSError, ValueError, subprocess.SubprocessError):
+        return ""
+    return said.stdout.strip()
 
 
 def probe(
-    fd_in: int, fd_out: int, environ: Mapping[str, str], timeout: float = PROBE_SECONDS
+    fd_in: int, fd_out: int, environ: Mapping[str, str], timeout: float | None = None
 ) -> tuple[Terminal, bytes]:
-    """The terminal's facts, and what was typed while it was asked.
+    """The terminal's facts, and what was typed while it was asked. See :func:`hear`.
 
-    Takes ``timeout`` s at most, a round trip as a rule. Happens on the alternate screen, which
+    Raises:
+        OSError: the terminal is gone.
+    """
+    heard = hear(fd_in, fd_out, environ, timeout)
+    if heard is None:
+        return Terminal(tty=False), b""
+    return heard.terminal(environ, window_size(fd_out)), heard.typed
+
+
+def hear(
+    fd_in: int, fd_out: int, environ: Mapping[str, str], timeout: float | None = None
+) -> Heard | None:
+    """Asks a terminal that is not in use; None, and nothing is written, if it is none.
+
+    Takes a round trip as a rule; ``timeout`` s (None: see :func:`patience`) if nothing is answered.
+    Happens on the alternate screen, which
     is left again: a terminal that prints a question's text takes it away with the screen. The
-    tty's mode is restored. What is not a terminal is not written to.
+    tty's mode is restored.
 
     Raises:
         OSError: the terminal is gone.
     """
     if not can_show(fd_in, fd_out, environ):
-        return Terminal(tty=False), b""
-    with raw_mode(fd_in):
+        return None
+    with raw_mode(fd_in), contextlib.closing(Sharing(environ)) as sharing:
         write_all(fd_out, ENTER_ALTERNATE)
         try:
-            data = ask(fd_in, fd_out, timeout)
+            seconds = patience(environ) if timeout is None else timeout
+            return ask(fd_in, fd_out, environ, sharing, seconds)
         finally:
             write_all(fd_out, LEAVE_ALTERNATE)
-    answers, typed = split_answers(data)
-    return parse_answers(answers, environ, window_size(fd_out)), typed
 
 
 @contextlib.contextmanager

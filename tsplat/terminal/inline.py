@@ -15,8 +15,9 @@ import time
 from collections.abc import Iterator, Mapping
 
 from tsplat.presenters.base import Terminal
-from tsplat.terminal.answers import DA1_ANSWER, parse_answers, split_answers
+from tsplat.terminal.answers import DA1_ANSWER
 from tsplat.terminal.device import ask, can_show, raw_mode, window_size, write_all
+from tsplat.terminal.sharing import Sharing
 
 ASK_SECONDS = 1.0
 """For all answers. There is no later moment to take late ones in: a shell would get them."""
@@ -51,16 +52,17 @@ def ask_here(
         return Terminal(tty=False)
     with _signals_held(), raw_mode(fd_in):
         write_all(fd_out, SAVE_CURSOR, seconds)
+        sharing = Sharing(environ)
         try:
-            data = ask(fd_in, fd_out, seconds)
-            if not DA1_ANSWER.search(data):  # what comes now is nobody's
+            heard = ask(fd_in, fd_out, environ, sharing, seconds)
+            if not DA1_ANSWER.search(heard.answers):  # what comes now is nobody's
                 termios.tcflush(fd_in, termios.TCIFLUSH)
         finally:
+            sharing.close()
             write_all(fd_out, RESTORE_CURSOR + ERASE_BELOW, seconds)
-    answers, typed = split_answers(data)
-    if b"\x03" in typed:
+    if b"\x03" in heard.typed:
         raise KeyboardInterrupt
-    return parse_answers(answers, environ, window_size(fd_out))
+    return heard.terminal(environ, window_size(fd_out))
 
 
 @contextlib.contextmanager

@@ -16,16 +16,18 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
+from tsplat.presenters.placeholders import through_tmux
 from tsplat.terminal import device
-from tsplat.terminal.answers import DA1, DA1_ANSWER, parse_answers, resized, split_answers
-from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, PROBE_SECONDS, READ_SIZE
+from tsplat.terminal.answers import DA1, DA1_ANSWER, resized
+from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, READ_SIZE
 from tsplat.terminal.events import Decoder, Event
+from tsplat.terminal.sharing import Sharing
 
 BEGIN_UPDATE = b"\x1b[?2026h"  # BSU: unknown to some, harmless to all; Konsole has it untold
 END_UPDATE = b"\x1b[?2026l"  # ESU
@@ -74,7 +76,8 @@ class Screen:
     that waits, or the next one, then raises :class:`Terminated`, so that ``with`` blocks unwind;
     a second signal raises it wherever the program is. Use it in the main thread.
 
-    ``terminal`` None: the terminal is asked on entering, within ``timeout`` s; later answers
+    ``terminal`` None: the terminal is asked on entering, and given ``timeout`` s to begin to
+    answer (None: as the link needs, see :func:`~tsplat.terminal.device.patience`); later answers
     still come in, as the event "terminal". ``cleanup`` is written before the screen is left; a
     presenter's ``clear`` belongs there.
 
@@ -92,17 +95,20 @@ class Screen:
         environ: Mapping[str, str] | None = None,
         terminal: Terminal | None = None,
         mouse: bool = True,
-        timeout: float = PROBE_SECONDS,
+        timeout: float | None = None,
     ) -> None:
         self.terminal = terminal or Terminal()
         self.cleanup = b""
         self.max_rate: float | None = None  # bytes/s of frames at most
         self.watched: int | None = None  # descriptor; the event "watched" while it can be read
         self._asked = terminal is not None
-        self._in, self._out, self._mouse, self._timeout = fd_in, fd_out, mouse, timeout
+        self._in, self._out, self._mouse = fd_in, fd_out, mouse
         self._environ = os.environ if environ is None else environ
+        self._timeout = device.patience(self._environ) if timeout is None else timeout
+        self._sharing = Sharing(self._environ)
         self._decoder = Decoder()
         self._queue: list[Event] = []
+        self._heard_first = device.Heard(b"")
         self._said = b""  # answers so far, kept while the last is missing
         self._answering = terminal is not None  # the terminal answers queries
         self._saved: device.Attributes | None = None  # the tty's mode before us; None: not ours
@@ -181,11 +187,20 @@ class Screen:
         device.write_all(self._out, HIDE_CURSOR + (MOUSE_ON if self._mouse else b"") + CLEAR)
 
     def _ask(self) -> None:
-        data = device.ask(self._in, self._out, self._timeout)
-        self._said, typed = split_answers(data)
+        heard = device.ask(self._in, self._out, self._environ, self._sharing, self._timeout)
+        self._heard_first = heard
+        self._said = heard.answers
         self._answering = DA1_ANSWER.search(self._said) is not None
-        self.terminal = parse_answers(self._said, self._environ, device.window_size(self._out))
-        self._queue += self._decoder.feed(typed)
+        self._understand()
+        self._queue += self._decoder.feed(heard.typed)
+
+    def _understand(self) -> None:
+        """The terminal's facts from what it has said so far."""
+        heard = replace(self._heard_first, answers=self._said)
+        size = device.window_size(self._out)
+        self.terminal = self._sharing.shared_by(heard.terminal(self._environ, size))
+        if self._answering:
+            self._sharing.close()  # of what was asked, all that will be taken has been
 
     def _restore(self) -> None:
         """Everything as it was; harmless when it is already, and in a forked child."""
@@ -203,6 +218,7 @@ class Screen:
         except OSError:
             pass  # the terminal is gone
         finally:
+            self._sharing.close()
             device.set_attributes(self._in, saved)
             self._leaving = False
 
@@ -365,7 +381,9 @@ class Screen:
         elif self._answering:
             self._unanswered, self._sent, self._size = self._unanswered + 1, now, len(data)
             self._begun = now
-            self._send(data + STATUS_REPORT)
+            # tmux would answer at once, however far behind the terminal around it is
+            through = self.terminal.kitty and self.terminal.around
+            self._send(data + (through_tmux(STATUS_REPORT) if through else STATUS_REPORT))
         else:
             self._queue.append(Event("ready"))
             self._send(data)
@@ -441,7 +459,7 @@ class Screen:
             if event.kind != "ready":
                 self._queue.append(event)
             elif self._overdue:
-                self._overdue -= 1  # of a frame given up
+                self._overdue -= 1  # of a frame given up: it is slow, but it answers
                 self._answered = self._answering = True
                 self._given_up = 0
             elif self._unanswered:
@@ -455,8 +473,8 @@ class Screen:
             if not self._answering:
                 self._said += answers
                 if DA1_ANSWER.search(self._said):  # at last
-                    self._answering, size = True, device.window_size(self._out)
-                    self.terminal = parse_answers(self._said, self._environ, size)
+                    self._answering = True
+                    self._understand()
                     self._queue.append(Event("terminal"))
 
     def _on_time(self) -> None:

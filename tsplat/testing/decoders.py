@@ -159,10 +159,21 @@ def kitty_commands(data: bytes, faults: list[str]) -> list[tuple[dict[str, str],
     return commands
 
 
-def _kitty_pixels(keys: dict[str, str], payload: bytes) -> U8:
+Reader = Callable[[str, bytes], bytes | None]
+"""Medium ("s" or "t") and name -> what it holds, which is gone then; None for nothing."""
+
+
+def _read_nothing(medium: str, name: bytes) -> bytes | None:
+    return None
+
+
+def _kitty_pixels(keys: dict[str, str], payload: bytes, read: Reader) -> U8:
     """[H, W, 3] of a transmission; an alpha channel must be opaque."""
-    if keys.get("t", "d") != "d":
-        raise ContractError(f"t={keys['t']}: only data in the sequence itself can be decoded")
+    if (medium := keys.get("t", "d")) != "d":
+        found = read(medium, payload)
+        if found is None:
+            raise ContractError(f"t={medium}: there is nothing of the name {payload!r}")
+        payload = found[: int(keys.get("S", len(found)))]
     if keys.get("f") == "100":
         return _picture_file(payload, ("PNG",))
     try:
@@ -182,8 +193,10 @@ def _kitty_pixels(keys: dict[str, str], payload: bytes) -> U8:
     return pixels[..., :3]
 
 
-def kitty(data: bytes, terminal: Terminal) -> Decoded:
+def kitty(data: bytes, terminal: Terminal, read: Reader = _read_nothing) -> Decoded:
     """Pictures transmitted and displayed (a=T), replaced and deleted, as kitty shows them.
+
+    ``read`` finds what is not in the sequence itself (t=s, t=t).
 
     Also demanded: C=1, or a picture as large as the screen scrolls it; q=2, or the answer is typed
     into the program; an id below 2^31.
@@ -199,8 +212,8 @@ def kitty(data: bytes, terminal: Terminal) -> Decoded:
         if action == "T":
             if keys.get("C") != "1":
                 faults.append("C=1 is missing: the cursor moves, and a full screen scrolls")
-            pixels = _kitty_pixels(keys, payload)
-            if "c" in keys or "r" in keys:
+            pixels = _kitty_pixels(keys, payload, read)
+            if "U" not in keys and ("c" in keys or "r" in keys):
                 if not (keys.get("c", "").isdigit() and keys.get("r", "").isdigit()):
                     raise ContractError("c and r: Konsole needs both, as numbers")
                 width, height = (

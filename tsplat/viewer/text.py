@@ -31,7 +31,12 @@ def fitted(text: str, cells: int) -> str:
 
 
 def status_line(text: str, terminal: Terminal, alarm: bool = False) -> bytes:
-    """``text`` on the last row, which presenters leave alone; the cursor cannot wrap."""
+    """``text`` on the last row, which presenters leave alone; the cursor cannot wrap.
+
+    That there is advice about the terminal is said first; the help page has it.
+    """
+    if text and terminal.advice:
+        text = f"no pictures in {terminal.multiplexer}: ?  {text}"
     shown = fitted(text, terminal.columns - 1).encode()
     if alarm:
         shown = REVERSE + shown + PLAIN
@@ -40,7 +45,8 @@ def status_line(text: str, terminal: Terminal, alarm: bool = False) -> bytes:
 
 def help_page(terminal: Terminal) -> bytes:
     """The keys, on a cleared screen; as much as fits."""
-    lines = ["tsplat", "", *HELP.splitlines()][: terminal.rows - 1]
+    advice = ["", terminal.advice] if terminal.advice else []
+    lines = ["tsplat", "", *HELP.splitlines(), *advice][: terminal.rows - 1]
     top = max(0, (terminal.rows - len(lines)) // 2)
     left = max(0, (terminal.columns - max(map(len, lines))) // 2)
     rows = [

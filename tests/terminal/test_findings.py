@@ -1,0 +1,102 @@
+"""The table of what a terminal was asked, answered, and what follows."""
+
+import json
+
+import pytest
+from fakes import FakeTerminal
+from test_answers import (
+    AROUND48,
+    KITTY48,
+    KONSOLE26,
+    RECORDED,
+    TMUX,
+    TMUX33,
+    TMUX38,
+    WINSIZE,
+    XTERM256,
+)
+
+from tsplat.terminal.device import Heard
+from tsplat.terminal.findings import LIARS, NOTHING, findings
+
+
+def table(heard, environ, winsize=WINSIZE):
+    """question -> (answer, conclusion); what is known of it by name, apart."""
+    rows = findings(heard, environ, winsize, heard.terminal(environ, winsize))
+    known = [(r.question, r.answer) for r in rows if r.question.startswith("known of")]
+    return {r.question: (r.answer, r.conclusion) for r in rows}, known
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_every_recorded_terminal(name):
+    """All rows are filled and fit to print; conclusions are the facts that presenters get."""
+    answers, environ, winsize, facts = RECORDED[name]
+    rows, _ = table(Heard(answers), environ, winsize)
+    for question, (answer, conclusion) in rows.items():
+        assert question.isprintable()
+        assert answer.isprintable()
+        assert answer
+        assert conclusion
+    where = " past tmux" if facts.multiplexer else ""
+    assert rows["DA1 attribute 4"][1] == ("sixel" if facts.sixel else "no sixel")
+    assert (rows["kitty a=q" + where][1] == "kitty graphics") is facts.kitty
+    assert rows["ReportCellSize"][1].startswith("iTerm2") is facts.iterm2
+    assert (rows["DECRQM 2026"][1] == "synchronized output") is facts.synchronized
+    assert (rows["DA1"][0] == NOTHING) is (name == "ghostty-web")
+
+
+def test_answers_are_shown():
+    """As they came, without ESC."""
+    rows, _ = table(Heard(KITTY48 + b"\x1b_Gi=32;EBADF:no\x1b\\"), {})
+    assert rows["kitty a=q"] == ("OK", "kitty graphics")
+    assert rows["kitty a=q,t=s"] == ("EBADF:no", "shared memory not read")
+    assert rows["XTVERSION"][0] == "kitty(0.48.2)"
+    assert rows["DA1"][0] == "[?62;52;c"
+
+
+def test_past_tmux():
+    """The terminal around has rows of its own; where nothing comes through, what to do."""
+    rows, known = table(Heard(TMUX33, around=AROUND48), TMUX)
+    assert rows["around tmux: XTVERSION"] == ("kitty(0.48.2)", "name: kitty(0.48.2)")
+    assert rows["kitty a=q past tmux"] == ("OK", "kitty graphics")
+    assert rows["placeholders"][1] == "has them"
+    assert {question for question, _ in known} == {"known of tmux"}
+    rows, _ = table(Heard(TMUX33), TMUX)
+    assert "allow-passthrough on" in rows["around tmux: XTVERSION"][1]
+    rows, _ = table(Heard(TMUX38, features="256,title"), TMUX)
+    assert rows["DA1 attribute 4"] == ("listed, tmux: 256,title", "no sixel")
+
+
+def test_liars_by_name():
+    """What is known of a terminal is told for that one, and each has a reason."""
+    _, known = table(Heard(KONSOLE26), XTERM256)
+    assert known == [("known of konsole", lie) for lie in LIARS["konsole"]]
+    assert table(Heard(KITTY48), {})[1] == []
+    assert all(len(lie) > 20 for lies in LIARS.values() for lie in lies)
+
+
+def test_over_ssh_and_overridden():
+    """Media are not asked for over ssh; the user's words are listed."""
+    environ = {"SSH_TTY": "/dev/pts/1", "TSPLAT_TERMINAL": "-kitty"}
+    rows, _ = table(Heard(KITTY48), environ)
+    assert rows["kitty a=q,t=s"][0] == "not asked over ssh"
+    assert rows["kitty a=q"] == ("OK", "no kitty graphics")
+    assert rows["TSPLAT_TERMINAL"] == ("-kitty", "overrides the answers")
+
+
+def test_plugins_tells_scripts():
+    """``tsplat plugins --json`` in a terminal: what was asked, answered, chosen, and why."""
+    code = "import sys; from tsplat.cli import main; sys.exit(main(['plugins', '--json']))"
+    with FakeTerminal(extra=b"\x1bP>|foot(1.28.0)\x1b\\") as terminal:
+        process = terminal.spawn(code)
+        assert process.communicate(timeout=60)[1] == ""
+        terminal.settle()
+        text = terminal.output[terminal.output.rindex(b"\x1b[?1049l") + 8 :]
+    told = json.loads(text)["terminal"]
+    assert told["chosen"] == "sixel"
+    assert told["why"] == "the best foot(1.28.0) supports"
+    rows = {row["question"]: row["answer"] for row in told["asked"]}
+    assert rows["XTVERSION"] == "foot(1.28.0)"
+    reasons = {row["name"]: row["reason"] for row in told["presenters"]}
+    assert "kitty's graphics query" in reasons["kitty"]
+    assert told["facts"]["columns"] == 80

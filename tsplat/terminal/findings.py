@@ -1,0 +1,151 @@
+"""What was asked of a terminal, what it answered and what follows, for people and scripts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from tsplat.core.errors import printable
+from tsplat.presenters.base import Terminal
+from tsplat.terminal.answers import DA1_ANSWER, KITTY_ID, Winsize, multiplexer, name_in
+from tsplat.terminal.device import Heard
+from tsplat.terminal.sharing import QUESTION_IDS
+
+NOTHING = "no answer"
+
+# Begin of the name, lower case -> what it says that is not so, or does not say that is.
+# Measured with the versions named, read in their sources, or reported.
+LIARS = {
+    "konsole": (
+        "answers kitty's query with OK, but has neither placeholders nor animation (source)",
+        "takes synchronized output (2026 on) and does not answer the question for it",
+        "counts its scroll marker in: 904 px for 90 columns of 10 (26.08)",
+    ),
+    "wezterm": (
+        "answers kitty's query with OK, then grows and freezes under moving pictures (issue 7400)",
+    ),
+    "iterm2": ("answers kitty's query with OK; a=T without an id was long broken",),
+    "xterm.js": ("rounds its cell: 9.63 px are told as 10",),
+    "xterm(": ("keeps 24-bit colours and sets no COLORTERM",),
+    "mlterm": ("3.9.0 runs out of colours when sent 24 bits of them, and shows speckles",),
+    "tmux": (
+        "lists sixel (3.4 on, where built with it) whatever the terminal around it has",
+        "takes kitty's query for a window title",
+    ),
+    "ghostty": ("kept the last frame's picture under the new one before 2026-08",),
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One row of the table."""
+
+    question: str
+    answer: str
+    conclusion: str
+
+
+def findings(
+    heard: Heard, environ: Mapping[str, str], winsize: Winsize, terminal: Terminal
+) -> list[Finding]:
+    """The rows, in the order in which a presenter is chosen by them.
+
+    ``terminal`` is what was made of the answers in the end.
+    """
+    rows: list[Finding] = []
+
+    def row(question: str, answer: str, conclusion: str) -> None:
+        rows.append(Finding(question, answer or NOTHING, conclusion))
+
+    asked = heard.around if terminal.multiplexer == "tmux" else heard.answers
+    where = " past tmux" if terminal.multiplexer == "tmux" else ""
+    row(
+        "DA1", _found(DA1_ANSWER.pattern, heard.answers),
+        "it answers questions" if DA1_ANSWER.search(heard.answers)
+        else "nothing is known but the environment; late answers still count",
+    )  # fmt: skip
+    row("XTVERSION", name_in(heard.answers), f"name: {terminal.name or 'unknown'}")
+    if terminal.multiplexer:
+        row(
+            f"around {terminal.multiplexer}: XTVERSION", name_in(heard.around),
+            terminal.advice or f"name: {terminal.around or 'unknown'}",
+        )  # fmt: skip
+    if mux := multiplexer("", environ):
+        row("TMUX, STY, TERM", f"{mux} by the environment", terminal.multiplexer or "inherited")
+    row(
+        f"kitty a=q{where}", _kitty(asked, KITTY_ID),
+        "kitty graphics" if terminal.kitty else "no kitty graphics",
+    )  # fmt: skip
+    for medium, what in (("s", "shared memory"), ("t", "temporary files")):
+        said = _kitty(asked, QUESTION_IDS[medium])
+        if terminal.remote:
+            said = "not asked over ssh"
+        read = medium in terminal.media
+        row(f"kitty a=q,t={medium}{where}", said, f"{what} {'read' if read else 'not read'}")
+    if terminal.kitty and where:
+        has = "has" if terminal.placeholders else "is not known to have"
+        row("placeholders", f"by name: {terminal.around}", f"{has} them")
+    row(
+        "ReportCellSize", _found(rb"\x1b\]1337;ReportCellSize=[0-9.;]+", heard.answers),
+        ("" if terminal.iterm2 else "not known to take ") + "iTerm2 pictures"
+        + (" by answer or name" if terminal.iterm2 else ""),
+    )  # fmt: skip
+    features = f", tmux: {heard.features}" if heard.features else ""
+    row(
+        "DA1 attribute 4", ("listed" if _lists_sixel(heard.answers) else "not listed") + features,
+        "sixel" if terminal.sixel else "no sixel",
+    )  # fmt: skip
+    row(
+        "XTSMGRAPHICS", _found(rb"\x1b\[\?[12];[0-9;]+S", heard.answers),
+        f"{terminal.sixel_registers} registers, "
+        + ("x".join(map(str, terminal.sixel_max)) + " px" if any(terminal.sixel_max)
+           else "any size"),
+    )  # fmt: skip
+    row(
+        "DECRQM 2026", _found(rb"\x1b\[\?2026;[0-9]\$y", heard.answers),
+        "synchronized output" if terminal.synchronized else "sent all the same: harmless",
+    )  # fmt: skip
+    rows_, columns, xpixel, ypixel = winsize
+    row(
+        "TIOCGWINSZ", f"{columns}x{rows_} cells, {xpixel}x{ypixel} px",
+        f"{terminal.columns}x{terminal.rows} cells",
+    )  # fmt: skip
+    row(
+        "XTWINOPS 14, 16", _found(rb"\x1b\[[46];[0-9;]+t", heard.answers),
+        f"a cell is {terminal.cell_width:.4g}x{terminal.cell_height:.4g} px",
+    )  # fmt: skip
+    colors = _found(rb"\x1bP1\+r[^\x1b]*|\x1bP1\$r[^\x1b]*", heard.answers)
+    said = environ.get("COLORTERM", "")
+    row(
+        "XTGETTCAP, DECRQSS, COLORTERM", " ".join(filter(None, (colors, said))),
+        "24-bit colour" if terminal.colors == 1 << 24 else f"{terminal.colors} colours",
+    )  # fmt: skip
+    row(
+        "SSH_CONNECTION, SSH_TTY", "set" if terminal.remote else "not set",
+        "over a network: fewer bytes" if terminal.remote else "on this machine",
+    )  # fmt: skip
+    if spec := environ.get("TSPLAT_TERMINAL"):
+        row("TSPLAT_TERMINAL", printable(spec), "overrides the answers")
+    for prefix, lies in LIARS.items():
+        for name in filter(None, (terminal.name, terminal.around)):
+            if name.lower().startswith(prefix):
+                for lie in lies:
+                    row(f"known of {prefix.strip('(')}", lie, "taken into account")
+    return rows
+
+
+def _found(pattern: bytes, data: bytes) -> str:
+    """All that matches, as text without ESC."""
+    found = (m.group().replace(b"\x1b", b"") for m in re.finditer(pattern, data))
+    return printable(" ".join(text.decode("ascii", "replace") for text in found), 200)
+
+
+def _kitty(answers: bytes, number: int) -> str:
+    match = re.search(rb"\x1b_Gi=%d[^;\x1b]*;([^\x1b]*)\x1b" % number, answers)
+    return printable(match.group(1).decode("ascii", "replace")) if match else ""
+
+
+def _lists_sixel(answers: bytes) -> bool:
+    match = DA1_ANSWER.search(answers)
+    return match is not None and b"4" in match.group(1).split(b";")[1:]
