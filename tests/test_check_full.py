@@ -25,7 +25,7 @@ def encode(frame, terminal, previous):
 
 @hookimpl
 def tsplat_presenters():
-    return [replace(KITTY, name="mirrored", encode=encode)]
+    return [replace(KITTY, name="mirrored", encode=encode, fill=None)]
 """
 
 
