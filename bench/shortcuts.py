@@ -12,16 +12,15 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from dataclasses import replace
-from math import tau
 from pathlib import Path
 
 import tsplat
 from tsplat.core.types import Scene
 from tsplat.core.workspace import default_threads
 from tsplat.quality.diagram import draw
+from tsplat.quality.measure import levels_text
 from tsplat.quality.sweep import Row, make_sweep, mark_optimal, settings
-from tsplat.views import frame_orbit
+from tsplat.views import ring
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = DOCS / "error-vs-time.md"
@@ -31,11 +30,7 @@ COLUMNS = ("setting", "ms", "speed", "99.9 % within", "worst", "PSNR dB", "SSIM"
 
 def measure(scene: Scene, size: tuple[int, int], cameras: int, runs: int) -> list[Row]:
     """All rows, measured and marked."""
-    orbit = frame_orbit(scene, *size)
-    eyes = [
-        replace(orbit, yaw=orbit.yaw + tau * i / cameras).camera(50.0, *size)
-        for i in range(cameras)
-    ]
+    eyes = ring(scene, cameras, *size)
     sweep = make_sweep(scene, eyes, BACKENDS, settings(scene), default_threads(), runs)
     for done, _ in enumerate(sweep.steps(), 1):
         print(f"\r{scene.name}: {done} of {len(sweep)}", end="", flush=True)
@@ -54,15 +49,10 @@ def table(rows: list[Row], backend: str) -> str:
         error, least = row.error, row.seconds()[0]
         name = f"**{row.setting}**" if row.optimal else row.setting
         lines.append(
-            f"| {name} | {least * 1e3:.1f} | {base / least:.2f} | {levels(error.p999)} "
-            f"| {levels(error.worst)} | {error.psnr:.1f} | {error.ssim:.4f} |"
+            f"| {name} | {least * 1e3:.1f} | {base / least:.2f} | {levels_text(error.p999)} "
+            f"| {levels_text(error.worst)} | {error.psnr:.1f} | {error.ssim:.4f} |"
         )
     return "\n".join(lines)
-
-
-def levels(value: float) -> str:
-    """Two digits that count."""
-    return f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
 
 
 def put(name: str, text: str) -> None:

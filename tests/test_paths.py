@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from tests.conftest import ROOT, straight
 from tsplat.core.camera import Camera, Orbit, intrinsics, look_at
 from tsplat.core.errors import CameraError
+from tsplat.core.reference import rotations as matrix
 from tsplat.io.cameras import camera_to_json
-from tsplat.paths import Path, load_path, matrix, quaternion, slerp, turned
+from tsplat.paths import Path, load_path, quaternion, slerp, turned
 
 number = st.floats(-1.0, 1.0)
 seeds = st.integers(0, 2**32 - 1)

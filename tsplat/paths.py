@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from tsplat.core.camera import Camera
 from tsplat.core.errors import CameraError, printable
+from tsplat.core.reference import rotations
 from tsplat.core.types import F64
 from tsplat.io.cameras import load_timed_cameras
 
@@ -98,7 +99,7 @@ class Path:
             share, slerp,
         )  # fmt: skip
         viewmat = np.eye(4)
-        viewmat[:3, :3] = matrix(quat)
+        viewmat[:3, :3] = rotations(quat)
         viewmat[:3, 3] = -viewmat[:3, :3] @ centre
         near, far = ((1 - share) * a + share * b
                      for a, b in ((before.near, after.near), (before.far, after.far)))  # fmt: skip
@@ -194,7 +195,7 @@ def turned(camera: Camera, centre: ArrayLike, up: ArrayLike, angle: float) -> Ca
     if not angle % math.tau:
         return camera
     middle, axis = np.asarray(centre, np.float64), np.asarray(up, np.float64)
-    turn = matrix(_exp(-angle / 2 * axis / np.linalg.norm(axis)))
+    turn = rotations(_exp(-angle / 2 * axis / np.linalg.norm(axis)))
     rotation = camera.rotation @ turn.T
     eye = middle + turn @ (camera.centre - middle)
     viewmat = np.eye(4)
@@ -265,13 +266,6 @@ def _log(quat: F64) -> F64:
     if length == 0:
         return np.zeros(3)
     return np.asarray(quat[1:] * (math.atan2(length, quat[0]) / length), np.float64)
-
-
-def matrix(quat: F64) -> F64:
-    """[3, 3] of a unit quaternion."""
-    w, v = quat[0], quat[1:]
-    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.asarray((w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross, np.float64)
 
 
 def quaternion(rotation: F64) -> F64:

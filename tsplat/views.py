@@ -170,3 +170,12 @@ def frame_scene(
     orbit = frame_orbit(scene, width, height, fov, up, yaw=yaw, pitch=pitch)
     near, far = clip_planes(orbit.distance)
     return orbit.camera(fov, width, height, near, far)
+
+
+def ring(scene: Scene, count: int, width: int, height: int) -> list[Camera]:
+    """``count`` cameras on the orbit that :func:`frame_orbit` begins, evenly round ``scene``."""
+    orbit = frame_orbit(scene, width, height)
+    return [
+        replace(orbit, yaw=orbit.yaw + math.tau * i / count).camera(FOV, width, height)
+        for i in range(count)
+    ]

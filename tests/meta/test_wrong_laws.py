@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import Phase, settings
 
 from tests.meta.wrong import REFERENCE, WRONG
 from tsplat.core import reference
@@ -144,15 +143,6 @@ CATCHES = {
     "tiles": ("short tile lists",),
 }
 """Law -> wrong backends that it must catch."""
-
-
-@pytest.fixture(autouse=True)
-def _quick():
-    """Failing examples are neither made small nor remembered: that they exist is enough."""
-    settings.register_profile("meta", settings.default, phases=[Phase.generate], database=None)
-    settings.load_profile("meta")
-    yield
-    settings.load_profile("tsplat")
 
 
 def check(law, stages, examples=200):

@@ -11,8 +11,9 @@ from tsplat.core.camera import look_at
 from tsplat.core.errors import ParamsError
 from tsplat.core.params import PRESETS, RenderParams
 from tsplat.io import load_scene
+from tsplat.paths import turned
 from tsplat.plan import make_plan
-from tsplat.quality.calibrate import MARGIN, TURNS, Bound, calibrate, parse_bound, turned
+from tsplat.quality.calibrate import MARGIN, TURNS, Bound, calibrate, parse_bound
 from tsplat.quality.measure import measure
 from tsplat.quality.sweep import ideal_frame
 from tsplat.testing.strategies import make_scene
@@ -20,6 +21,7 @@ from tsplat.views import frame_orbit
 
 SCENE = make_scene(21, 1500, 2, frozenset({"opaque"}))
 CAMERA = look_at((1, -1, -5), (0, 0, 0), (0, -1, 0), 50, 60, 45)
+UP = -CAMERA.rotation[1]
 
 
 def plan_of(params):
@@ -32,7 +34,7 @@ def test_what_is_picked_holds_against_the_ideal_elsewhere(levels):
     """On cameras between those that were tried, against float64."""
     found = calibrate(SCENE, CAMERA, Bound(levels, levels), plan_of, RenderParams())
     for angle in (0.6, 3.0):
-        camera = turned(CAMERA, np.zeros(3), angle)
+        camera = turned(CAMERA, np.zeros(3), UP, angle)
         got = plan_of(found.picked.params).run(SCENE, camera).frame
         assert measure(got, ideal_frame(SCENE, camera)).worst <= levels
     assert found.picked.error.worst <= MARGIN * levels
@@ -76,7 +78,7 @@ def test_colours_in_float16_count():
 def test_turned_cameras_look_at_the_same_point(angle):
     """The middle stays where it is in the picture, and as far away."""
     centre = np.array([0.3, 0.2, 0.1])
-    camera = turned(CAMERA, centre, angle)
+    camera = turned(CAMERA, centre, UP, angle)
     before = CAMERA.viewmat @ [*centre, 1]
     np.testing.assert_allclose(camera.viewmat @ [*centre, 1], before, atol=1e-12)
     if angle:

@@ -20,9 +20,10 @@ from tsplat.core.workspace import default_threads
 from tsplat.io.progress import progress_bar
 from tsplat.plan import why_not
 from tsplat.plugins import load_backend, plugins
+from tsplat.quality.measure import levels_text
 from tsplat.quality.sweep import Row, Sweep, make_sweep, mark_optimal, settings
 from tsplat.testing.checks import Case, check_picture
-from tsplat.views import frame_orbit
+from tsplat.views import ring
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -95,21 +96,12 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
 
 def _cameras(arguments: argparse.Namespace, scene: Scene) -> list[Camera]:
     """Those of the files named, or some on the orbit that frames the scene."""
-    from dataclasses import replace
-    from math import tau
-
     if arguments.camera:
         cameras = [camera_from_file(spec, arguments.size) for spec in arguments.camera]
         if len({(c.width, c.height) for c in cameras}) > 1:
             raise TsplatError("the cameras take pictures of different sizes; choose one: --size")
         return cameras
-    width, height = arguments.size or SIZE
-    orbit = frame_orbit(scene, width, height)
-    count = arguments.cameras
-    return [
-        replace(orbit, yaw=orbit.yaw + tau * i / count).camera(50.0, width, height)
-        for i in range(count)
-    ]
+    return ring(scene, arguments.cameras, *(arguments.size or SIZE))
 
 
 def _backends(arguments: argparse.Namespace, scene: Scene) -> tuple[list[str], dict[str, str]]:
@@ -229,7 +221,7 @@ def _table(rows: Sequence[Row], title: str, stages: Sequence[str]) -> Table:
         table.add_row(
             "*" if row.optimal else "", row.backend, row.setting, f"{least * 1e3:.1f}",
             f"{median * 1e3:.1f}", *(_stage(row, stage) for stage in stages), speed,
-            _levels(error.p999), _levels(error.worst),
+            levels_text(error.p999), levels_text(error.worst),
             f"{error.psnr:.1f}", f"{error.ssim:.5f}",
             style="bold" if row.optimal else None,
         )  # fmt: skip
@@ -239,11 +231,6 @@ def _table(rows: Sequence[Row], title: str, stages: Sequence[str]) -> Table:
 def _stage(row: Row, stage: str) -> str:
     """Its least time; nothing where it is part of another."""
     return f"{row.seconds(stage)[0] * 1e3:.1f}" if stage in row.stages else ""
-
-
-def _levels(value: float) -> str:
-    """Two digits that count, but never an exponent for what is 0.0001 or more."""
-    return f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
 
 
 def _show_diagram(rows: Sequence[Row], title: str) -> None:

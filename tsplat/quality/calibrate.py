@@ -12,13 +12,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from tsplat.core.camera import Camera
 from tsplat.core.errors import ParamsError
 from tsplat.core.params import KNOBS, PRESETS, RenderParams, parse_settings
-from tsplat.core.types import F64, Frame, Scene
+from tsplat.core.types import Frame, Scene
 from tsplat.core.workspace import Workspace
+from tsplat.paths import turned
 from tsplat.plan import Plan
 from tsplat.quality.measure import LEVELS, Error, measure, over_all
 from tsplat.views import scene_extent
@@ -27,7 +26,7 @@ MARGIN = 0.7
 """Of the bound that may be used up where it is measured."""
 
 TURNS = (0.0, math.tau / 3, -math.tau / 3)
-"""Radians about the middle of the scene: the cameras to measure with."""
+"""Radians about the middle of the scene and the camera's own upward axis: where to measure."""
 
 THRESHOLDS = (
     ("1/65280", "1e-7"), ("1/16320", "1e-6"), ("1/4080", "1e-6"), ("1/1020", "1e-5"),
@@ -97,17 +96,6 @@ class Calibration:
     cameras: int
 
 
-def turned(camera: Camera, centre: F64, angle: float) -> Camera:
-    """``camera`` carried round the world's ``centre`` by ``angle`` about its own upward axis."""
-    up = -camera.rotation[1]
-    cross = np.array([[0, -up[2], up[1]], [up[2], 0, -up[0]], [-up[1], up[0], 0]])
-    turn = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
-    view = np.eye(4)
-    view[:3, :3] = camera.rotation @ turn.T
-    view[:3, 3] = -view[:3, :3] @ (centre + turn @ (camera.centre - centre))
-    return replace(camera, viewmat=view)
-
-
 class _Trial:
     """Measures settings on some cameras."""
 
@@ -172,7 +160,8 @@ def calibrate(
         ParamsError: not even that holds; the text says what it measured.
     """
     centre = scene_extent(scene).centre
-    cameras = [turned(camera, centre, angle) for angle in TURNS]
+    up = -camera.rotation[1]
+    cameras = [turned(camera, centre, up, angle) for angle in TURNS]
     trial = _Trial(scene, cameras, plan_of, base, bound, progress)
     contract = trial(base)
     best = trial(_with(base, PRESETS["exact"]))

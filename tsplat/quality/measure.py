@@ -33,6 +33,16 @@ class Error:
     ssim: float  # -1..1; 1 for equal pictures
 
 
+def decibels(mse: float) -> float:
+    """Peak signal-to-noise ratio of a mean square error, for a range of 1; inf for none."""
+    return math.inf if mse == 0 else -10 * math.log10(mse)
+
+
+def levels_text(value: float) -> str:
+    """A number of levels, two digits of it, without an exponent from 0.0001 on."""
+    return f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
+
+
 def measure(got: Frame, ideal: Frame) -> Error:
     """``got`` against ``ideal``, both without background."""
     a, b = (np.clip(frame.rgb.astype(np.float64), 0, 1) for frame in (got, ideal))
@@ -42,7 +52,7 @@ def measure(got: Frame, ideal: Frame) -> Error:
     return Error(
         worst=float(worst.max()),
         p999=float(np.quantile(worst, SHARE, method="higher")),
-        psnr=math.inf if mse == 0 else -10 * math.log10(mse),
+        psnr=decibels(mse),
         ssim=ssim(a, b),
     )
 
@@ -53,7 +63,7 @@ def over_all(errors: Sequence[Error]) -> Error:
     return Error(
         worst=max(e.worst for e in errors),
         p999=max(e.p999 for e in errors),
-        psnr=math.inf if mse == 0 else -10 * math.log10(mse),
+        psnr=decibels(mse),
         ssim=float(np.mean([e.ssim for e in errors])),
     )
 

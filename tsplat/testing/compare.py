@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsplat.core.types import F64, Frame
+from tsplat.quality.measure import decibels
 
 TOLERANCE = 1e-4
 """What a float32 backend may differ by in a channel."""
@@ -44,7 +45,7 @@ def psnr(got: Frame, want: Frame) -> float:
     """Peak signal-to-noise ratio of rgb clipped to 0..1, in dB; inf for equal pictures."""
     a, b = (np.clip(f.rgb.astype(np.float64), 0, 1) for f in (got, want))
     mse = float(((a - b) ** 2).mean())
-    return math.inf if mse == 0 else -10 * math.log10(mse)
+    return decibels(mse)
 
 
 def _differences(got: Frame, want: Frame) -> F64:

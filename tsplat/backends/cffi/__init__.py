@@ -1,4 +1,4 @@
-"""The C kernel as a backend. This module only says whether it is there; ``wrap`` calls it."""
+"""The C kernel as a backend. This module only says whether it is there, and is cheap."""
 
 from __future__ import annotations
 

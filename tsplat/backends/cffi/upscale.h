@@ -14,7 +14,7 @@ static void blend_rows(const tsplat_layer *layer, int64_t y, float *out) {
 
 static inline float within(float value, float most) { return value < 0 ? 0 : value > most ? most : value; }
 
-/* One channel, four pixels at a time as long as there are four. */
+/* One channel. */
 static void widen_one(const tsplat_layer *layer, const float *row, float *to) {
     for (int64_t x = 0; x < layer->out_width; x++) {
         const int32_t *at = layer->columns + x * TAPS;
