@@ -103,7 +103,7 @@ def _logits(opacities: F32) -> F32:
     wide = opacities.astype(np.float64)
     with np.errstate(divide="ignore"):
         logits = np.log(wide) - np.log1p(-wide)
-    return np.clip(logits, 0, 1).astype(np.float32)
+    return np.asarray(np.clip(logits, 0, 1), np.float32)
 
 
 def _inside(scene: Scene, crop: Box) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
