@@ -62,7 +62,7 @@ class View:
     status: bool = True
     help: bool = False
     quit: bool = False
-    grip: tuple[int, int] | None = None  # cell where a drag was last seen
+    grip: tuple[float, float] | None = None  # cell where a drag was last seen
     path: Path | None = None  # the camera is on it, not on the orbit; spinning, too, while it goes
     played: float = 0.0  # s since the path's begin
 
@@ -104,7 +104,7 @@ class View:
 
     def after(self, event: Event, terminal: Terminal) -> View:
         """The view after a key or mouse event; itself if the event means nothing."""
-        if event.kind == "key":
+        if event.kind == "key" and event.action != "release":
             if self.help:
                 return replace(self, help=False)
             if self.path is not None:
