@@ -223,7 +223,8 @@ class View:
         Keys that move the camera are :meth:`moved`'s; here they only end what goes by itself.
         """
         if event.kind == "key":
-            return self._after_key(event.key)
+            again = event.action == "repeat" and event.key not in REPEATS
+            return self if event.action == "release" or again else self._after_key(event.key)
         if event.kind == "mouse":
             return self._after_mouse(event, terminal)
         return self
@@ -453,6 +454,9 @@ def moves(key: str) -> bool:
     """Whether ``key`` moves the camera while it is held."""
     return _motion(key)[0] is not None
 
+
+REPEATS = frozenset({",", "."})
+"""Keys that do it again while they are held."""
 
 LEAVES_PATH = frozenset({"q", "Q", "escape", "ctrl+c", "?", "tab", "i", "p", "v", "m", "M"})
 """Keys that do what they do without ending a path that is played."""

@@ -127,7 +127,7 @@ class Viewer:
 
     def _hear(self, event: Event) -> None:
         screen, before = self._screen, self._view
-        if event.kind == "key" and event.key == "ctrl+z":
+        if event.kind == "key" and event.key == "ctrl+z" and event.action == "press":
             screen.suspend()
         elif event.kind in ("resize", "terminal"):
             self._redraw_all()
