@@ -162,6 +162,15 @@ class View:
         """About to glide to ``orbit``."""
         return replace(self._free(), goal=orbit, glided=0.0, spinning=False)
 
+    def approaching(self, point: np.ndarray) -> View:
+        """About to have ``point`` [3] in the middle, half as far away as it is now."""
+        view = self._free()
+        camera = view.orbit.camera(FOV, 2, 2)
+        distance = float((point - camera.centre) @ camera.rotation[2])
+        low, high = (d * view.home.distance for d in DISTANCES)
+        distance = min(max(APPROACH * distance, low), high)
+        return view.to(replace(view.orbit, target=point, distance=distance))
+
     def _gliding(self, seconds: float) -> View:
         """Straight to the goal, in the same share of what is left at every moment, then there."""
         assert self.goal is not None
@@ -169,7 +178,9 @@ class View:
         if glided >= GLIDE_SECONDS:
             return replace(self, orbit=self.goal, goal=None)
         # smooth at both ends: 3 t^2 - 2 t^3, as a share of what is left
-        done, now = (t * t * (3 - 2 * t) for t in (self.glided / GLIDE_SECONDS, glided / GLIDE_SECONDS))
+        done, now = (
+            t * t * (3 - 2 * t) for t in (self.glided / GLIDE_SECONDS, glided / GLIDE_SECONDS)
+        )
         share, here, there = (now - done) / (1 - done), self.orbit, self.goal
         ways = (there.yaw - here.yaw + math.pi) % math.tau - math.pi  # the short way round
         orbit = replace(
@@ -199,9 +210,7 @@ class View:
             return self if self.goal is None else replace(self, goal=None)
         orbit = orbit_of(camera, self.home)
         fov = 2 * math.degrees(math.atan(camera.height / 2 / camera.K[1, 1]))
-        return replace(
-            self, path=None, still=None, spinning=False, orbit=orbit, fov=fov, goal=None
-        )
+        return replace(self, path=None, still=None, spinning=False, orbit=orbit, fov=fov, goal=None)
 
     # --- keys
 
@@ -324,9 +333,7 @@ class View:
         """The same view of a world that has ``up`` upwards."""
         axis = np.asarray(up, np.float64)
         free = self._free()
-        return replace(
-            free, orbit=replace(free.orbit, up=axis), home=replace(free.home, up=axis)
-        )
+        return replace(free, orbit=replace(free.orbit, up=axis), home=replace(free.home, up=axis))
 
     def next_axis(self, by: int = 1) -> View:
         """With the next of the world's axes upwards."""
@@ -384,7 +391,7 @@ class View:
         orbit = self._free().orbit
         half = orbit.distance * math.tan(math.radians(self.fov) / 2) / 2
         low, high = (tuple((orbit.target + s * half).tolist()) for s in (-1, 1))
-        return self.editing(crop=Box(low, high))  # type: ignore[arg-type]
+        return self.editing(crop=Box(low, high))
 
     def wishing(self, wish: str) -> View:
         """With something for the viewer to do."""

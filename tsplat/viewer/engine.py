@@ -32,6 +32,26 @@ class Engine:
         self._last = Prepared(self._edited[1], plan, look)
         self.workspace = Workspace(plan.threads)
 
+    @property
+    def scene(self) -> Scene:
+        """As it is drawn now."""
+        return self._last.scene
+
+    @property
+    def name(self) -> str:
+        """The scene's."""
+        return self._scene.name
+
+    @property
+    def backends(self) -> str:
+        """Those that draw it now."""
+        return "+".join(dict.fromkeys(self._last.plan.backends.values()))
+
+    @property
+    def prepared_last(self) -> Prepared:
+        """What drew the last picture."""
+        return self._last
+
     def prepared(self, look: Look) -> Prepared:
         """What draws ``look``; the last one that could be had, with the reason, if it cannot."""
         last = self._last

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from tsplat.presenters.base import Terminal
 
-PANEL = 38  # columns; enough for the longest row
+PANEL = 42  # columns; enough for the longest row
 PICTURE = 30  # columns that must be left for a picture beside the panel
 ROWS = 12  # of a panel under the picture
 PICTURE_ROWS = 8  # that must be left above it

@@ -11,7 +11,7 @@ from tsplat.viewer.layout import Area
 from tsplat.viewer.settings import Facts, Row, sections
 from tsplat.viewer.text import BOLD, PLAIN, REVERSE, cup, fitted
 
-NAME = 17  # columns of a row's name
+NAME = 19  # columns of a row's name
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Panel:
         return there, there._stepped(view, facts, -1 if backwards else 1)
 
     def _moved(self, by: int, view: View, facts: Facts, area: Area) -> Panel:
-        """To another row that can be set; the lines about it are shown, past the last all that is."""
+        """To another row that can be set; it is shown. Past the last one the lines below."""
         rows = _settable(view, facts)
         if by > 0 and self.chosen == len(rows) - 1:
             return self._scrolled(by, view, facts, area)  # to the figures
@@ -125,7 +125,7 @@ def _title(text: str, columns: int) -> bytes:
 def _line(row: Row, view: View, facts: Facts, columns: int, chosen: bool) -> bytes:
     value = row.text(view, facts)
     if row.step is None:
-        return _padded(f"  {row.name:<{NAME - 2}}{value}", columns)
+        return _padded(f"  {row.name:<{NAME}}{value}", columns)
     value = f"< {value} >" if chosen else f"  {value}"
     line = _padded(f"  {row.name:<{NAME - 2}}{value}", columns)
     return REVERSE + line + PLAIN if chosen else line

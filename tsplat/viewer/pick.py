@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tsplat.core.camera import Camera
-from tsplat.core.types import F64, Scene
+from tsplat.core.types import F64
 from tsplat.core.workspace import Workspace
 from tsplat.plan import make_plan
 from tsplat.viewer.engine import Prepared
@@ -39,10 +39,10 @@ def point_under(prepared: Prepared, camera: Camera, x: float, y: float) -> F64 |
     nearest = int(np.argmin((rows - middle) ** 2 + (columns - middle) ** 2))
     row, column = int(rows[nearest]), int(columns[nearest])
     z = float(frame.depth[row, column] / seen[row, column])
-    return _at(prepared.scene, small, column + 0.5, row + 0.5, z)
+    return _at(small, column + 0.5, row + 0.5, z)
 
 
-def _at(scene: Scene, camera: Camera, x: float, y: float, z: float) -> F64:
+def _at(camera: Camera, x: float, y: float, z: float) -> F64:
     (fx, _, cx), (_, fy, cy), _ = camera.K
     ray = np.array([(x - cx) / fx, (y - cy) / fy, 1.0])
     return np.asarray(camera.centre + camera.rotation.T @ (z * ray), np.float64)

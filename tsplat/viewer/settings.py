@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
@@ -26,6 +27,7 @@ RATES = (None, 10e6, 5e6, 2e6, 1e6, 500e3, 250e3, 100e3)  # bits/s
 FRAMES = (5.0, 10.0, 15.0, 20.0, 24.0, 30.0, 60.0, 120.0)
 PICTURES = (None, (640, 360), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160))
 CUTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9)
+WORDS = 20  # columns beside a name
 CROP_STEP = 0.02  # of the distance, per key press
 
 
@@ -35,7 +37,8 @@ class Facts:
 
     presenters: Sequence[str] = ()  # that this terminal can show
     backends: Sequence[str] = ()  # that can be used here
-    figures: Mapping[str, str] = field(default_factory=dict)  # name -> words, in their order
+    chosen: Mapping[str, str] = field(default_factory=dict)  # for "auto": setting -> name
+    figures: Sequence[tuple[str, str]] = ()  # name, words
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ Section = tuple[str, Sequence[Row]]
 
 
 def _stepped(values: Sequence[T], now: T, by: int) -> T:
-    """The value after ``now``, or before; at the ends it stays. Others than ``values`` join them."""
+    """The value after ``now``, or before; it stays at the ends. ``now`` joins ``values``."""
     numbers: list[T] = list(values)
     if now not in numbers:
         numbers.append(now)
@@ -117,9 +120,7 @@ def _speed(name: str, field: str) -> Row:
     )  # fmt: skip
 
 
-def _of_look(
-    name: str, field: str, values: Sequence[T], text: Callable[[T], str], first: T
-) -> Row:
+def _of_look(name: str, field: str, values: Sequence[T], text: Callable[[T], str], first: T) -> Row:
     return Row(
         name,
         lambda view, facts: text(getattr(view.look, field)),
@@ -131,9 +132,14 @@ def _of_look(
 
 
 def _named(name: str, field: str, values: Callable[[Facts], Sequence[str]]) -> Row:
+    def text(view: View, facts: Facts) -> str:
+        now = str(getattr(view.look, field))
+        chosen = facts.chosen.get(field, "")
+        return f"{now}: {chosen}" if now == "auto" and chosen else now
+
     return Row(
         name,
-        lambda view, facts: str(getattr(view.look, field)),
+        text,
         lambda view, by, facts: view.looking(
             **{field: _turned(["auto", *values(facts)], getattr(view.look, field), by)}
         ),
@@ -237,13 +243,13 @@ QUALITY: Sequence[Row] = (
     Row("quality", lambda v, f: settings_text(v.look.params) if
         settings_text(v.look.params) in PRESETS else "your own", _preset,
         lambda v: _as_preset(v, "contract")),
-    _param("SH degree", "sh_degree", range(4), str),
+    _param("SH degree", "sh_degree", range(4), lambda value: f"{value} at most"),
     _switch("antialias", lambda v: v.look.params.antialias, lambda v, on: v.shading(antialias=on)),
     _param("pixel density", "scale", SCALES, _percent),
     _param("share of splats", "share", SHARES, _percent),
     _param("alpha threshold", "alpha_threshold", THRESHOLDS, _fraction),
     Row("  reach in sigmas", _sigmas),
-    _param("stop at", "transmittance_min", STOPS, lambda value: f"{value:g} of the light"),
+    _param("stop at", "transmittance_min", STOPS, lambda value: f"{value:g} of light"),
     _param("depth bits", "depth_bits", BITS, str),
     _param("low-pass filter", "low_pass", (0.01, 0.03, 0.1, EPS2D, 0.5, 1.0, 2.0, 5.0, LOW_PASS[1]),
            lambda value: f"{value:g} px^2"),
@@ -278,13 +284,20 @@ SHOWING: Sequence[Row] = (
         lambda v: v.looking(picture=None)),
 )  # fmt: skip
 
+
+def _figure(name: str, words: str) -> list[Row]:
+    """A row that only says something, and more of them if it says much."""
+    lines = textwrap.wrap(words, WORDS) or [""]
+    return [
+        Row("" if i else name, lambda view, facts, line=line: line)  # type: ignore[misc]
+        for i, line in enumerate(lines)
+    ]
+
+
 def sections(view: View, facts: Facts) -> list[Section]:
     """All rows, under their titles; those of the box while there is one."""
     box = BOX if view.look.edits.crop is not None else ()
-    figures = tuple(
-        Row(name, lambda view, facts, words=words: words)  # type: ignore[misc]
-        for name, words in facts.figures.items()
-    )
+    figures = [row for name, words in facts.figures for row in _figure(name, words)]
     return [
         ("Camera", CAMERA),
         ("Quality", QUALITY),
