@@ -93,7 +93,8 @@ class Viewer:
         self._workspace = Workspace(plan.threads)
         self._pipeline = pipeline
         self._asked: Picture | None = None  # last
-        self._sent: tuple[Drawn, Encoded] | None = None  # last, to be acknowledged
+        # On their way, to be acknowledged in this order; None: abandoned, or no picture
+        self._sent: deque[tuple[Drawn, Encoded] | None] = deque()
         self._helping = False  # the help page is on the screen
         self._lead = b""  # to be written before the next frame
         self._clock = self._moved = time.monotonic()
@@ -105,8 +106,9 @@ class Viewer:
         terminal = self._screen.terminal
         self._presenter, _ = choose_presenter(self._presenters, terminal, self._wanted)
         self._screen.cleanup = self._presenter.clear(terminal)
-        self._pace = Pace(self._presenter.size(terminal), self._fps)
-        self._asked = self._sent = None
+        self._pace = Pace(self._presenter.size(terminal), self._fps, far=terminal.remote)
+        self._asked = None
+        self._sent = deque(None for _ in self._sent)
 
     def run(self) -> None:
         """Until the user quits."""
@@ -117,6 +119,7 @@ class Viewer:
                 for event in screen.read_events(self._timeout()):
                     self._hear(event)
                 if not self._view.quit:
+                    self._acknowledged()
                     self._show()
                     self._want()
                     self._verify()
@@ -133,8 +136,6 @@ class Viewer:
             self._redraw_all()
         elif event.kind == "watched":
             self._receive()
-        elif event.kind == "ready":
-            self._acknowledged()
         else:
             self._view = before.after(event, screen.terminal)
         if self._view.orbit is not before.orbit:
@@ -147,9 +148,10 @@ class Viewer:
         if asked is None or asked.level >= self._pace.level:
             return
         self._pipeline.drop()
-        if self._sent is not None and self._sent[0].picture is asked and self._screen.abandon():
+        last = self._sent[-1] if self._sent else None
+        if last is not None and last[0].picture is asked and self._screen.abandon():
             self._pipeline.forget()
-            self._sent = None  # its flight tells nothing
+            self._sent[-1] = None  # its flight tells nothing
             self._lead = self._presenter.clear(self._screen.terminal)
 
     def _redraw_all(self) -> None:
@@ -162,16 +164,21 @@ class Viewer:
         self._choose()
 
     def _acknowledged(self) -> None:
-        """The frame sent last is on the screen."""
-        flight, self._screen.flight = self._screen.flight, None
-        sent, self._sent = self._sent, None
-        if sent is None or not sent[1].payload:  # what has not changed takes no time
-            return
-        drawn, encoded = sent
-        flight = flight or Flight(len(encoded.payload), 0.0)  # a terminal that answers nothing
-        self._pace.note(
-            drawn.picture.level, drawn.seconds, encoded.seconds, flight.seconds, flight.sent
-        )
+        """What the terminal has answered is on the screen."""
+        flights = self._screen.flights
+        while self._sent and (flights or not self._screen.waiting):
+            # a terminal that answers nothing has none
+            flight = flights.popleft() if flights else None
+            sent = self._sent.popleft()
+            if sent is None or not sent[1].payload:  # what has not changed takes no time
+                continue
+            drawn, encoded = sent
+            flight = flight or Flight(len(encoded.payload), 0.0, 0.0)
+            self._pace.note(
+                drawn.picture.level, drawn.seconds, encoded.seconds, flight.occupied, flight.sent,
+                flight.seconds,
+            )  # fmt: skip
+        flights.clear()
 
     # --- what is wanted
 
@@ -270,7 +277,8 @@ class Viewer:
         if self._view.help:
             if not self._helping:
                 self._pipeline.forget()
-                self._helping, self._asked, self._sent = True, None, None
+                self._helping, self._asked = True, None
+                self._sent.append(None)
                 clear = self._presenter.clear(screen.terminal)
                 screen.draw(clear + help_page(screen.terminal))
             return
@@ -286,7 +294,7 @@ class Viewer:
         self._line = self._status(drawn, encoded)
         status = self._status_line() if view.status else status_line("", screen.terminal)
         lead, self._lead = self._lead, b""
-        self._sent = made
+        self._sent.append(made)
         screen.draw(lead + encoded.payload + status)
         if self._verifier is not None:
             self._verifier.show(drawn.camera, drawn.rendered.frame)
