@@ -119,7 +119,8 @@ class Viewer:
         screen.watched = around.verifier.fileno() if around.verifier else None
         self._pipeline = pipeline
         self._asked: Picture | None = None  # last
-        self._sent: tuple[Drawn, Encoded] | None = None  # last, to be acknowledged
+        # On their way, to be acknowledged in this order; None: abandoned, or no picture
+        self._sent: deque[tuple[Drawn, Encoded] | None] = deque()
         self._heads = _Heads()
         self._panel, self._help_top = Panel(), 0
         self._helping = False  # the help page is on the screen
@@ -143,8 +144,11 @@ class Viewer:
         screen.max_rate = look.max_rate / 8 if look.max_rate else None
         self._layout = layout(screen.terminal, self._view.settings)
         self._terminal = self._layout.picture or screen.terminal
-        self._pace = Pace(self._presenter.size(self._terminal), look.fps)
-        self._asked = self._sent = None
+        self._pace = Pace(
+            self._presenter.size(self._terminal), look.fps, far=screen.terminal.remote
+        )
+        self._asked = None
+        self._sent = deque(None for _ in self._sent)
         self._heads.lines = []
 
     def run(self) -> None:
@@ -156,6 +160,7 @@ class Viewer:
                 for event in screen.read_events(self._timeout()):
                     self._hear(event)
                 if not self._view.quit:
+                    self._acknowledged()
                     self._show()
                     self._want()
                     self._verify()
@@ -176,11 +181,9 @@ class Viewer:
             self._redraw_all()
         elif event.kind == "watched":
             self._receive()
-        elif event.kind == "ready":
-            self._acknowledged()
         elif event.kind == "kept":
             self._notify(event.key)
-        else:
+        elif event.kind in ("key", "mouse", "focus"):
             self._advance()
             self._use(event)
 
@@ -235,9 +238,10 @@ class Viewer:
         if asked is None or asked.level >= self._pace.level:
             return
         self._pipeline.drop()
-        if self._sent is not None and self._sent[0].picture is asked and self._screen.abandon():
+        last = self._sent[-1] if self._sent else None
+        if last is not None and last[0].picture is asked and self._screen.abandon():
             self._pipeline.forget()
-            self._sent = None  # its flight tells nothing
+            self._sent[-1] = None  # its flight tells nothing
             self._lead = self._presenter.clear(self._screen.terminal)
 
     def _redraw_all(self) -> None:
@@ -252,18 +256,23 @@ class Viewer:
         self._tell()
 
     def _acknowledged(self) -> None:
-        """The frame sent last is on the screen."""
-        flight, self._screen.flight = self._screen.flight, None
-        sent, self._sent = self._sent, None
-        if sent is None or not sent[1].payload:  # what has not changed takes no time
-            return
-        drawn, encoded = sent
-        if drawn.picture.heard is not None:
-            self._latency = time.monotonic() - drawn.picture.heard
-        flight = flight or Flight(len(encoded.payload), 0.0)  # a terminal that answers nothing
-        self._pace.note(
-            drawn.picture.level, drawn.seconds, encoded.seconds, flight.seconds, flight.sent
-        )
+        """What the terminal has answered is on the screen."""
+        flights = self._screen.flights
+        while self._sent and (flights or not self._screen.waiting):
+            # a terminal that answers nothing has none
+            flight = flights.popleft() if flights else None
+            sent = self._sent.popleft()
+            if sent is None or not sent[1].payload:  # what has not changed takes no time
+                continue
+            drawn, encoded = sent
+            if drawn.picture.heard is not None:
+                self._latency = time.monotonic() - drawn.picture.heard
+            flight = flight or Flight(len(encoded.payload), 0.0, 0.0)
+            self._pace.note(
+                drawn.picture.level, drawn.seconds, encoded.seconds, flight.occupied, flight.sent,
+                flight.seconds,
+            )  # fmt: skip
+        flights.clear()
 
     # --- wishes
 
@@ -480,7 +489,8 @@ class Viewer:
         if self._view.help:
             if not self._helping:
                 self._pipeline.forget()
-                self._helping, self._asked, self._sent, self._help_top = True, None, None, 0
+                self._helping, self._asked, self._help_top = True, None, 0
+                self._sent.append(None)
                 clear = self._presenter.clear(screen.terminal)
                 screen.draw(clear + help_page(screen.terminal))
             return
@@ -495,19 +505,20 @@ class Viewer:
             screen.clear()
             self._heads.lines = []
         self._count()
-        if drawn.prepared.trouble:
+        if drawn.prepared.trouble not in ("", self._heads.notice):
             self._notify(drawn.prepared.trouble)
         self._heads.shown = self._of(drawn, encoded)
         if drawn.picture.level == 0 or time.monotonic() > self._heads.figured + FIGURE_SECONDS:
             self._figure()
         lead, self._lead = self._lead, b""
-        self._sent = made
+        self._sent.append(made)
         screen.draw(lead + encoded.payload + self._words())
         if self._around.verifier is not None and drawn.prepared.look == self._verified:
             self._around.verifier.show(drawn.camera, drawn.rendered.frame)
 
     def _of(self, drawn: Drawn, encoded: Encoded) -> Shown:
         span = self._frames[-1] - self._frames[0]
+        several = len(self._frames) > 3 and self._moving
         return Shown(
             scene=drawn.prepared.scene,
             plan=drawn.prepared.plan,
@@ -517,7 +528,7 @@ class Viewer:
             size=drawn.picture.size,
             full=self._pace.size(0),
             camera=drawn.camera,
-            frames=(len(self._frames) - 1) / span if span and self._moving else None,
+            frames=(len(self._frames) - 1) / span if several and span else None,
             encode=encoded.seconds,
             sent=len(encoded.payload),
             link=self._pace.link,
