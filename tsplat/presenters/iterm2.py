@@ -11,7 +11,7 @@ from binascii import b2a_base64
 
 from tsplat.core.types import Frame
 from tsplat.hookspecs import hookimpl
-from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures
+from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures, pixels
 
 OSC = b"\x1b]"  # Operating System Command
 BEL = b"\x07"  # ends it; older terminals know no ST here
@@ -51,7 +51,7 @@ def _encode(
 
     from PIL import Image
 
-    image = frame.to_uint8()
+    image = pixels(frame)
     if not changed(image, previous):
         return b""
     file = BytesIO()
