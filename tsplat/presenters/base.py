@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import TYPE_CHECKING
 
 from tsplat.core.errors import PluginError, printable
@@ -66,6 +67,10 @@ def _nothing(terminal: Terminal) -> bytes:
     return b""
 
 
+def _any(terminal: Terminal) -> float:
+    return inf
+
+
 def _square(terminal: Terminal) -> tuple[float, float]:
     return 1.0, 1.0
 
@@ -81,7 +86,9 @@ class Presenter:
 
     While the picture moves it may have fewer pixels than ``size``. ``fill(frame, terminal,
     previous)``, where it is offered, is ``encode`` for those: the picture covers what one of
-    ``size`` would. Of both the ``previous`` frame may be of either kind.
+    ``size`` would. Of both the ``previous`` frame may be of either kind. ``rest(frame, terminal)``,
+    where it is offered, are the bytes for a picture of ``size`` that stays for a while, whatever the
+    screen shows: better than ``encode``'s, which then may be as quick as moving pictures want it.
     """
 
     name: str
@@ -93,8 +100,9 @@ class Presenter:
     # the bytes of a picture that later ones must not replace; None: those of encode
     still: Callable[[Frame, Terminal], bytes] | None = None
     clear: Callable[[Terminal], bytes] = _nothing  # takes the picture away again
+    fps: Callable[[Terminal], float] = _any  # pictures a second at most
     rank: int = -1  # "auto" takes the highest that is supported
-    # encode for a frame that stays for a while, as good as can be; None: as good as encode's
+    # encode for a frame that stays for a while; None: encode's are as good as can be
     rest: Callable[[Frame, Terminal], bytes] | None = None
     # encode for a frame of fewer px, shown over the same area; None: the viewer repeats pixels
     fill: Callable[[Frame, Terminal, Frame | None], bytes] | None = None
@@ -155,14 +163,15 @@ def changed(image: U8, previous: Frame | None) -> bool:
 def encoded(
     presenter: Presenter, frame: Frame, terminal: Terminal, previous: Frame | None = None
 ) -> bytes:
-    """``presenter.encode``'s bytes; for a picture that stays, those of ``still`` where it has one.
+    """``presenter.encode``'s bytes; of a picture that stays, ``still``'s or ``rest``'s if there are.
 
     Raises:
         PluginError: the presenter failed.
     """
     try:
-        if previous is None and presenter.still is not None:
-            return presenter.still(frame, terminal)
+        for stays in (presenter.still, presenter.rest):
+            if previous is None and stays is not None:
+                return stays(frame, terminal)
         return presenter.encode(frame, terminal, previous)
     except Exception as error:
         raise PluginError(

@@ -19,7 +19,7 @@ from tsplat.core.params import settings_text
 from tsplat.core.types import Frame, Scene
 from tsplat.core.workspace import Workspace
 from tsplat.plan import Plan, Rendered
-from tsplat.presenters.base import Presenter, Terminal
+from tsplat.presenters.base import Presenter, Terminal, changed, pixels
 from tsplat.presenters.enlarge import enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
 from tsplat.viewer.controls import View
@@ -45,6 +45,7 @@ class Picture:
     terminal: Terminal
     presenter: Presenter
     begun: float  # s, monotonic
+    rests: bool = False  # nothing moves: as good as the presenter can
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,8 @@ class Viewer:
         terminal = self._screen.terminal
         self._presenter, _ = choose_presenter(self._presenters, terminal, self._wanted)
         self._screen.cleanup = self._presenter.clear(terminal)
-        self._pace = Pace(self._presenter.size(terminal), self._fps)
+        fps = min(self._fps, self._presenter.fps(terminal))
+        self._pace = Pace(self._presenter.size(terminal), fps)
         self._asked = self._sent = None
 
     def run(self) -> None:
@@ -144,7 +146,7 @@ class Viewer:
     def _hurry(self) -> None:
         """A move: a picture that is being refined is in its way, even half written."""
         asked = self._asked
-        if asked is None or asked.level >= self._pace.level:
+        if asked is None or (asked.level >= self._pace.level and not asked.rests):
             return
         self._pipeline.drop()
         if self._sent is not None and self._sent[0].picture is asked and self._screen.abandon():
@@ -168,6 +170,8 @@ class Viewer:
         if sent is None or not sent[1].payload:  # what has not changed takes no time
             return
         drawn, encoded = sent
+        if drawn.picture.rests:  # tells nothing of moving ones
+            return
         flight = flight or Flight(len(encoded.payload), 0.0)  # a terminal that answers nothing
         self._pace.note(
             drawn.picture.level, drawn.seconds, encoded.seconds, flight.seconds, flight.sent
@@ -192,6 +196,8 @@ class Viewer:
             return asked.level
         if self._moving or self._pipeline.busy or self._screen.busy:
             return None
+        if asked.level == 0 and self._presenter.rest is not None and not asked.rests:
+            return 0
         return self._pace.finer(asked.level)
 
     def _due(self, level: int) -> float:
@@ -220,9 +226,11 @@ class Viewer:
         level = self._level()
         if level is None or now < self._due(level):
             return
+        rests = level == 0 and self._presenter.rest is not None and not self._moving
         self._asked = Picture(
-            self._view, level, self._pace.size(level), self._screen.terminal, self._presenter, now
-        )
+            self._view, level, self._pace.size(level), self._screen.terminal, self._presenter, now,
+            rests,
+        )  # fmt: skip
         self._pipeline.ask(self._asked)
 
     # --- the pipeline's threads
@@ -252,7 +260,15 @@ class Viewer:
         few = presenter.fill is not None and picture.size != presenter.size(terminal)
         encode = presenter.fill if few and presenter.fill is not None else presenter.encode
         try:
-            payload = encode(drawn.frame, terminal, before.frame if before else None)
+            if picture.rests and presenter.rest is not None:
+                same = (
+                    before is not None
+                    and before.picture.rests
+                    and not changed(pixels(drawn.frame), before.frame)
+                )
+                payload = b"" if same else presenter.rest(drawn.frame, terminal)
+            else:
+                payload = encode(drawn.frame, terminal, before.frame if before else None)
         except Exception as error:
             raise PluginError(
                 f"presenter {presenter.name!r} failed: "
