@@ -52,6 +52,9 @@ class Terminal:
     placeholders: bool = False  # knows kitty's cells that stand for parts of a picture
     advice: str = ""  # what the user can do to see better pictures
     media: str = ""  # kitty's letters of what it said it can read: "s", "t"
+    keyboard: bool = False  # kitty's keyboard protocol: keys are told when they are let go, too
+    in_band_resize: bool = False  # DEC mode 2048: tells its size when that changes
+    pixel_mouse: bool = False  # DEC mode 1016: tells where the mouse is in px
     share: Callable[[Buffer], Shared | None] | None = field(default=None, compare=False, repr=False)
     """Leaves bytes where the terminal finds them; None, or returns None, where that is not to be
     had. The one thing here that is no plain fact: presenters without it send all bytes."""
