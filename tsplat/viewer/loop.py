@@ -18,7 +18,7 @@ from tsplat.core.errors import CameraError, PluginError, printable
 from tsplat.core.types import Frame
 from tsplat.plan import Rendered
 from tsplat.plugins import ask
-from tsplat.presenters.base import Presenter, Terminal
+from tsplat.presenters.base import Presenter, Terminal, changed, pixels
 from tsplat.presenters.enlarge import enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
 from tsplat.viewer.controls import View
@@ -56,6 +56,7 @@ class Picture:
     presenter: Presenter
     begun: float  # s, monotonic
     heard: float | None = None  # s, when the input came that this is the first picture of
+    rests: bool = False  # nothing moves: as good as the presenter can
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +145,9 @@ class Viewer:
         screen.max_rate = look.max_rate / 8 if look.max_rate else None
         self._layout = layout(screen.terminal, self._view.settings)
         self._terminal = self._layout.picture or screen.terminal
-        self._pace = Pace(
-            self._presenter.size(self._terminal), look.fps, far=screen.terminal.remote
-        )
+        fps = min(look.fps, self._presenter.fps(screen.terminal))
+        size = self._presenter.size(self._terminal)
+        self._pace = Pace(size, fps, far=screen.terminal.remote)
         self._asked = None
         self._sent = deque(None for _ in self._sent)
         self._heads.lines = []
@@ -225,7 +226,7 @@ class Viewer:
             self._redraw_all()
         elif view.look != before.look:
             self._screen.max_rate = view.look.max_rate / 8 if view.look.max_rate else None
-            self._pace.period = 1 / view.look.fps
+            self._pace.period = 1 / min(view.look.fps, self._presenter.fps(self._screen.terminal))
         if view.moves_from(before):
             self._moved = time.monotonic()
             self._hurry()
@@ -235,7 +236,7 @@ class Viewer:
     def _hurry(self) -> None:
         """A move: a picture that is being refined is in its way, even half written."""
         asked = self._asked
-        if asked is None or asked.level >= self._pace.level:
+        if asked is None or (asked.level >= self._pace.level and not asked.rests):
             return
         self._pipeline.drop()
         last = self._sent[-1] if self._sent else None
@@ -267,6 +268,8 @@ class Viewer:
             drawn, encoded = sent
             if drawn.picture.heard is not None:
                 self._latency = time.monotonic() - drawn.picture.heard
+            if drawn.picture.rests:  # tells nothing of moving ones
+                continue
             flight = flight or Flight(len(encoded.payload), 0.0, 0.0)
             self._pace.note(
                 drawn.picture.level, drawn.seconds, encoded.seconds, flight.occupied, flight.sent,
@@ -380,6 +383,8 @@ class Viewer:
             return self._pace.level
         if self._moving or self._pipeline.busy or self._screen.busy:
             return None
+        if asked.level == 0 and self._presenter.rest is not None and not asked.rests:
+            return 0
         return self._pace.finer(asked.level)
 
     def _due(self, level: int) -> float:
@@ -436,9 +441,11 @@ class Viewer:
         fresh = self._asked is None or self._view.moves_from(self._asked.view)
         heard = self._heard if fresh else None
         self._heard = None if fresh else self._heard
+        rests = level == 0 and self._presenter.rest is not None and not self._moving
         self._asked = Picture(
-            self._view, level, self._pace.size(level), self._terminal, self._presenter, now, heard
-        )
+            self._view, level, self._pace.size(level), self._terminal, self._presenter, now, heard,
+            rests,
+        )  # fmt: skip
         self._pipeline.ask(self._asked)
 
     # --- the pipeline's threads
@@ -471,7 +478,15 @@ class Viewer:
         few = presenter.fill is not None and picture.size != presenter.size(terminal)
         encode = presenter.fill if few and presenter.fill is not None else presenter.encode
         try:
-            payload = encode(drawn.frame, terminal, before.frame if before else None)
+            if picture.rests and presenter.rest is not None:
+                same = (
+                    before is not None
+                    and before.picture.rests
+                    and not changed(pixels(drawn.frame), before.frame)
+                )
+                payload = b"" if same else presenter.rest(drawn.frame, terminal)
+            else:
+                payload = encode(drawn.frame, terminal, before.frame if before else None)
         except Exception as error:
             raise PluginError(
                 f"presenter {presenter.name!r} failed: "
