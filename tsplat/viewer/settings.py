@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
@@ -23,11 +22,10 @@ STOPS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 5e-2)
 SHARES = (0.05, 0.1, 0.25, 0.5, 0.75, 1.0)
 SCALES = (0.1, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 BITS = (16, 20, 24, 32)
-RATES = (None, 10e6, 5e6, 2e6, 1e6, 500e3, 250e3, 100e3)  # bits/s
+RATES = (100e3, 250e3, 500e3, 1e6, 2e6, 5e6, 10e6, None)  # bits/s
 FRAMES = (5.0, 10.0, 15.0, 20.0, 24.0, 30.0, 60.0, 120.0)
 PICTURES = (None, (640, 360), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160))
 CUTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9)
-WORDS = 20  # columns beside a name
 CROP_STEP = 0.02  # of the distance, per key press
 
 
@@ -276,28 +274,22 @@ SHOWING: Sequence[Row] = (
     Row("threads", lambda v, f: str(v.look.threads or default_threads()), _threads,
         lambda v: v.looking(threads=None)),
     _of_look("frames a second", "fps", FRAMES, lambda value: f"{value:g}", FPS),
-    Row("link at most", lambda v, f: _bits(v.look.max_rate),
-        lambda v, by, f: v.looking(max_rate=_turned(RATES, v.look.max_rate, -by)),
-        lambda v: v.looking(max_rate=None)),
+    _of_look("link at most", "max_rate", RATES, _bits, None),
     Row("kept pictures", lambda v, f: _size(v.look.picture),
         lambda v, by, f: v.looking(picture=_turned(PICTURES, v.look.picture, by)),
         lambda v: v.looking(picture=None)),
 )  # fmt: skip
 
 
-def _figure(name: str, words: str) -> list[Row]:
-    """A row that only says something, and more of them if it says much."""
-    lines = textwrap.wrap(words, WORDS) or [""]
-    return [
-        Row("" if i else name, lambda view, facts, line=line: line)  # type: ignore[misc]
-        for i, line in enumerate(lines)
-    ]
+def _figure(name: str, words: str) -> Row:
+    """A row that only says something."""
+    return Row(name, lambda view, facts: words)
 
 
 def sections(view: View, facts: Facts) -> list[Section]:
     """All rows, under their titles; those of the box while there is one."""
     box = BOX if view.look.edits.crop is not None else ()
-    figures = [row for name, words in facts.figures for row in _figure(name, words)]
+    figures = [_figure(name, words) for name, words in facts.figures]
     return [
         ("Camera", CAMERA),
         ("Quality", QUALITY),
