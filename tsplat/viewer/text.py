@@ -32,13 +32,22 @@ def _columns(character: str) -> int:
     return 2 if unicodedata.east_asian_width(character) in "WF" else 1
 
 
+def _plain(text: str) -> bool:
+    """Whether each character is known to take a column; most texts are so, and quickly done."""
+    return text.isascii() and text.isprintable()
+
+
 def width(text: str) -> int:
     """Columns that ``text`` takes, when it is made printable."""
+    if _plain(text):
+        return len(text)
     return sum(map(_columns, printable(text, len(text))))
 
 
 def fitted(text: str, cells: int) -> str:
     """``text``, printable, cut to at most ``cells`` columns; wide characters take two."""
+    if _plain(text):
+        return text[:cells]
     out, used = "", 0
     for character in printable(text, 4 * cells + 1):
         used += _columns(character)
