@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import tempfile
 from dataclasses import fields, is_dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -338,7 +339,7 @@ def check_recording(recording):
             return
         gaps = np.diff([time for time, _ in made.poses])
         assert (gaps > 0).all()
-        if all(a[1] == b[1] for a, b in zip(times, times[1:], strict=False)):
+        if all(a[1] == b[1] for a, b in pairwise(times)):
             assert len(made.poses) <= 2  # a rest, and no more
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "path.json"

@@ -27,6 +27,9 @@ class _Stop:
     row: Row = field(compare=False)
 
 
+_Sections = list[tuple[str, list[tuple[Row, _Stop | None]]]]
+
+
 @dataclass(frozen=True)
 class _Line:
     text: str
@@ -72,7 +75,7 @@ class Panel:
             return self._scrolled(by, view, facts, area), view
         if event.action != "press":
             return self, view
-        lines, top = self._shown(view, facts, area)
+        lines, top, _ = self._shown(view, facts, area)
         row = int(event.y - area.top)
         if _more(lines, top, area) and row == area.rows - 1:
             return self._scrolled(max(1, area.rows - 2), view, facts, area), view
@@ -94,8 +97,7 @@ class Panel:
 
     def lines(self, view: View, facts: Facts, area: Area) -> list[bytes]:
         """``area.rows`` lines, each as wide as the area, without their places."""
-        lines, top = self._shown(view, facts, area)
-        chosen = self._chosen(_stops(view, facts))[1]
+        lines, top, chosen = self._shown(view, facts, area)
         out = [_bytes(line, area.columns, chosen) for line in lines[top : top + area.rows]]
         out += [padded("", area.columns).encode()] * (area.rows - len(out))
         if _more(lines, top, area):
@@ -123,19 +125,19 @@ class Panel:
         return self._at(stops, place).seen(after, facts, area), after
 
     def _scrolled(self, by: int, view: View, facts: Facts, area: Area) -> Panel:
-        lines, top = self._shown(view, facts, area)
+        lines, top, _ = self._shown(view, facts, area)
         most = max(0, len(lines) - area.rows)
         return replace(self, top=min(max(top + by, 0), most), loose=True)
 
-    def _shown(self, view: View, facts: Facts, area: Area) -> tuple[list[_Line], int]:
-        """All lines, and how many of them are above the first that is seen."""
-        stops = _stops(view, facts)
-        chosen = self._chosen(stops)[1]
-        lines = _lines(view, facts, area.columns, chosen)
+    def _shown(self, view: View, facts: Facts, area: Area) -> tuple[list[_Line], int, _Stop]:
+        """All lines, how many of them are above the first that is seen, and what is chosen."""
+        every = _sections(view, facts)
+        chosen = self._chosen([stop for _, rows in every for _, stop in rows if stop])[1]
+        lines = _lines(every, view, facts, area.columns, chosen)
         most = max(0, len(lines) - area.rows)
         top = min(self.top, most)
         if self.loose:
-            return lines, top
+            return lines, top, chosen
         mine = [i for i, line in enumerate(lines) if line.stop == chosen]
         first, last, room = mine[0], mine[-1], area.rows
         if room >= MORE_ROWS:
@@ -143,7 +145,7 @@ class Panel:
             first -= lines[first - 1].title
         if last >= top + room:
             top = min(last + 1 - room, most)
-        return lines, min(top, first)
+        return lines, min(top, first), chosen
 
 
 def placed(lines: Sequence[bytes], before: Sequence[bytes], area: Area) -> bytes:
@@ -156,10 +158,10 @@ def placed(lines: Sequence[bytes], before: Sequence[bytes], area: Area) -> bytes
 
 
 def _stops(view: View, facts: Facts) -> list[_Stop]:
-    return [stop for _, rows in _sections(view, facts) for _, stop in rows if stop is not None]
+    return [stop for _, rows in _sections(view, facts) for _, stop in rows if stop]
 
 
-def _sections(view: View, facts: Facts) -> list[tuple[str, list[tuple[Row, _Stop | None]]]]:
+def _sections(view: View, facts: Facts) -> _Sections:
     """Titles, and their rows with what makes them ones that can be chosen."""
     out = []
     for title, rows in sections(view, facts):
@@ -175,9 +177,9 @@ def _sections(view: View, facts: Facts) -> list[tuple[str, list[tuple[Row, _Stop
     return out
 
 
-def _lines(view: View, facts: Facts, columns: int, chosen: _Stop) -> list[_Line]:
+def _lines(every: _Sections, view: View, facts: Facts, columns: int, chosen: _Stop) -> list[_Line]:
     out: list[_Line] = []
-    for title, rows in _sections(view, facts):
+    for title, rows in every:
         out.append(_Line(title, title=True))
         for row, stop in rows:
             out += _row_lines(row, stop, row.text(view, facts), columns, stop == chosen)

@@ -92,7 +92,7 @@ def _switch(name: str, get: Callable[[View], bool], put: Callable[[View, bool], 
         name,
         lambda view, facts: "on" if get(view) else "off",
         lambda view, by, facts: put(view, not get(view)),
-        lambda view: put(view, False),
+        lambda view: put(view, False) if get(view) else view,
     )
 
 
@@ -100,7 +100,7 @@ def _factor(
     name: str, get: Callable[[View], float], put: Callable[[View, float], View],
     by: float, low: float, high: float,
 ) -> Row:  # fmt: skip
-    """A number whose steps are a factor; 1 is among them."""
+    """A number whose steps are a factor; 1 is among them, and so are ``low`` and ``high``."""
 
     def step(view: View, steps: int, facts: Facts) -> View:
         place = round(math.log(max(get(view), 1e-9)) / math.log(by)) + steps
@@ -254,7 +254,7 @@ QUALITY: Sequence[Row] = (
 )  # fmt: skip
 SCENE: Sequence[Row] = (
     _factor("splat scale", lambda v: v.look.edits.splat_scale,
-            lambda v, value: v.editing(splat_scale=value), 2**0.25, 0.02, 16.0),
+            lambda v, value: v.editing(splat_scale=value), 2**0.25, 1 / 64, 16.0),
     Row("opacity cut", lambda v, f: f"{v.look.edits.opacity_min:g}",
         lambda v, by, f: v.editing(opacity_min=_stepped(CUTS, v.look.edits.opacity_min, by)),
         lambda v: v.editing(opacity_min=0.0)),
