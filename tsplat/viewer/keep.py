@@ -65,7 +65,7 @@ class Recording:
         if (camera.width, camera.height) != (first.width, first.height):  # a path has one size
             camera = camera.reframed(first.width, first.height)
         last, pose = poses[-1]
-        if now < last + LEAST_SECONDS:
+        if now < last + LEAST_SECONDS and camera.same(pose):
             return
         before = poses[-2] if len(poses) > 1 else None
         resting = camera.same(pose) and before is not None and pose.same(before[1])
@@ -77,7 +77,7 @@ class Recording:
         )
         if resting or passing:
             poses.pop()
-        poses.append((now, camera))
+        poses.append((max(now, poses[-1][0] + LEAST_SECONDS), camera))
 
     def text(self) -> str:
         """As ``--play`` and ``--path`` read it: JSON, times from 0."""

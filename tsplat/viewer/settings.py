@@ -102,9 +102,11 @@ def _factor(
 ) -> Row:  # fmt: skip
     """A number whose steps are a factor; 1 is among them, and so are ``low`` and ``high``."""
 
+    def place(value: float) -> int:
+        return round(math.log(max(value, 1e-9)) / math.log(by))
+
     def step(view: View, steps: int, facts: Facts) -> View:
-        place = round(math.log(max(get(view), 1e-9)) / math.log(by)) + steps
-        return put(view, min(max(by**place, low), high))
+        return put(view, by ** min(max(place(get(view)) + steps, place(low)), place(high)))
 
     return Row(name, lambda view, facts: f"{get(view):.3g}", step, lambda view: put(view, 1.0))
 
