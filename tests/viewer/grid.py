@@ -18,7 +18,8 @@ class Grid:
         self.reverse = False
         self.cells = [[" "] * columns for _ in range(rows)]
         self.reversed = [[False] * columns for _ in range(rows)]
-        self.written = set()  # (x, y) of half blocks
+        self.painted = False
+        self.written = set()  # (x, y) of what has a colour: a picture's
 
     def feed(self, data):
         """Takes a stream that begins and ends between two sequences."""
@@ -38,7 +39,7 @@ class Grid:
                 assert self.x < self.columns, "written past the last column"
                 self.cells[self.y][self.x] = cell
                 self.reversed[self.y][self.x] = self.reverse
-                if character in "▀▄█":
+                if self.painted:
                     self.written.add((self.x, self.y))
                 self.x += 1
 
@@ -92,6 +93,8 @@ class Grid:
         rest = list(values)
         while rest:
             n = rest.pop(0)
+            if n in (0, 38, 48):
+                self.painted = n > 0
             if n in (38, 48):
                 del rest[: {2: 4, 5: 2}[rest[0]]]
             elif n in (0, 27):

@@ -67,10 +67,9 @@ class Session:
                     self.output += self.read()
                 except OSError:
                     break
-            asked = re.findall(rb"\x1b\[5n|\x1b\[c", self.output)
-            for question in asked[self.answered :]:
-                os.write(self.master, b"\x1b[0n" if question == DSR else self.da1)
-            self.answered = len(asked)
+            for question in re.finditer(rb"\x1b\[5n|\x1b\[c", self.output[self.answered :]):
+                os.write(self.master, b"\x1b[0n" if question[0] == DSR else self.da1)
+            self.answered = max(self.output.rfind(DSR), self.output.rfind(b"\x1b[c")) + 1
 
     def read(self):
         """What the terminal takes at a time."""

@@ -26,6 +26,8 @@ from tsplat.paths import load_path
 from tsplat.viewer.layout import PANEL
 
 UP, DOWN, RIGHT, LEFT = b"\x1b[A", b"\x1b[B", b"\x1b[C", b"\x1b[D"
+PAGE_DOWN = b"\x1b[6~"
+UPDATED = b"\x1b[?2026l"
 WIDE = 24, 100, 0, 0
 NAME = "two balls (1).ply"
 
@@ -35,6 +37,7 @@ def write_scene(folder):
     rng = np.random.default_rng(3)
     n = 600
     columns = {name: rng.normal(0, 1, n) for name in names_inria(1, normals=False)}
+    columns["opacity"] = rng.uniform(0.05, 0.95, n)  # as logits, or as they are
     columns |= {f"scale_{i}": rng.normal(-2.0, 0.3, n) for i in range(3)}
     columns |= {f"f_rest_{i}": rng.normal(0, 0.2, n) for i in range(9)}
     header = f"ply\nformat binary_big_endian 1.0\nelement vertex {n}\n"
@@ -69,9 +72,18 @@ def sessions(folder):
 
 
 def seen(session):
-    """The screen as it is now."""
+    """The screen as it is now, after the last whole update."""
     rows, columns = session.size[:2]
-    return Grid(columns, rows).feed(session.output)
+    grid, taken = getattr(session, "grid", (Grid(columns, rows), 0))
+    end = session.output.rfind(UPDATED) + len(UPDATED)
+    session.grid = grid.feed(session.output[taken : max(taken, end)]), max(taken, end)
+    return grid
+
+
+def shown(session):
+    """All text on the screen."""
+    screen = seen(session)
+    return "\n".join(map(screen.text, range(screen.rows)))
 
 
 def quit_(session):
@@ -89,7 +101,7 @@ def resize(session, rows, columns):
 
 def test_tab_opens_a_panel_beside_the_picture(sessions):
     """The picture keeps to its columns, the panel to its own; Tab again: the picture has all."""
-    session = sessions(size=WIDE)
+    session = sessions("--background", "0,0.3,0.3", size=WIDE)
     opened = len(session.output)
     session.press(b"\t")
     session.wait_for(b"alpha threshold", opened)
@@ -170,28 +182,26 @@ def test_panel_and_help_at_any_size(sessions, size):
     session = sessions("--threads", "2", size=size)
     session.press(b"\t")
     session.rest()
-    for _ in range(46):
-        session.press(DOWN)
-        session.listen(0.02)
-    session.rest()
-    screen = seen(session)
-    texts = "".join(map(screen.text, range(size[0])))
-    assert size[1] < 20 or "without" in texts or "looks along" in texts
-    session.press(b"\t")
-    session.rest()
-    session.press(b"?")
-    session.rest()
-    for _ in range(60):
-        session.press(DOWN)
-        session.listen(0.01)
-        if b"quit" in session.output[-3000:] or b"space" in session.output[-300:]:
+    for _ in range(80):
+        session.press(PAGE_DOWN)
+        session.listen(0.05)
+        if size[1] < 20 or "more below" not in shown(session):
             break
     session.rest()
-    screen = seen(session)
-    assert size[1] < 20 or "quit" in "".join(map(screen.text, range(size[0])))
+    text = shown(session)
+    assert size[1] < 20 or "without" in text or "looks along" in text
+    session.press(b"\t?")
+    session.rest()
+    for _ in range(20):
+        if ": more" not in shown(session):
+            break
+        session.press(PAGE_DOWN)
+        session.listen(0.05)
+    session.rest()
+    assert size[1] < 20 or "quit" in shown(session)
     session.press(b"\r")
     session.rest()
-    assert "quit" not in "".join(map(seen(session).text, range(size[0])))
+    assert "quit" not in shown(session)
     quit_(session)
 
 
@@ -217,7 +227,7 @@ def test_a_window_that_is_resized_with_the_panel_open(sessions):
 def test_open_and_idle_it_costs_nothing(sessions):
     """With the panel open no byte is written and no processor time spent when nothing happens."""
     session = sessions(size=WIDE)
-    session.press(b"\t" + DOWN + RIGHT)
+    session.press(b"\t" + DOWN + DOWN + RIGHT)
     session.rest(0.6)
     before, spent = len(session.output), session.cpu_seconds()
     session.listen(0.6)
@@ -277,7 +287,7 @@ def keep_and_make_again(session, folder, number=1):
 EVERYTHING = (
     "--max-splats", "400", "--set", "scale=0.5,alpha_threshold=2/255", "--antialias",
     "--background", "0.2,0.4,0.6", "--crop=-1,-1.5,-1,1,1.5,2", "--saturation", "1.7",
-    "--opacity-min", "0.1", "--splat-scale", "1.3", "--sh-degree", "0", "--fov", "40",
+    "--opacity-min", "0.55", "--splat-scale", "1.3", "--sh-degree", "0", "--fov", "40",
 )  # fmt: skip
 
 
