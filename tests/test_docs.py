@@ -160,9 +160,11 @@ def test_the_readmes_python_runs(tmp_path, monkeypatch):
 
 
 def table(path):
-    """First cells of all tables on a page -> the other cells."""
-    rows = re.findall(r"^\| *(.*?) *\|(.*)\|$", path.read_text(), re.M)
-    return {name: rest for name, rest in rows if not name.startswith("-")}
+    """First cells of all tables on a page -> the other cells of all rows that begin so."""
+    rows = {}
+    for name, rest in re.findall(r"^\| *(.*?) *\|(.*)\|$", path.read_text(), re.M):
+        rows[name] = rows.get(name, "") + rest
+    return rows
 
 
 def test_the_viewers_page_has_every_key():
