@@ -474,8 +474,7 @@ class Viewer:
         full = picture.presenter.size(picture.terminal)
         pixel = picture.presenter.pixel(picture.terminal)
         camera = picture.view.camera(full, pixel).resized(*picture.size)
-        prepared = self._engine.prepared(look)
-        rendered = prepared.plan.run(prepared.scene, camera, self._engine.workspace)
+        prepared, rendered = self._engine.run(look, camera)
         frame = rendered.frame.over(look.background)
         if picture.presenter.fill is None and picture.size != full:
             frame = enlarged(frame, *full)
@@ -604,7 +603,7 @@ class Viewer:
         heads.told = verifier.text if verifier else ""
         recording = "recording" if self._recording is not None else ""
         panel = self._layout.panel is not None
-        parts = status(heads.shown, panel) if heads.shown else ()
+        parts = status(heads.shown, panel) if heads.shown else [self._engine.name]
         words = [notice, recording, heads.told, *parts]
         return status_line(words, terminal, alarm=verifier is not None and verifier.broken > 0)
 
