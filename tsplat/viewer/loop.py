@@ -21,7 +21,7 @@ from tsplat.plugins import ask
 from tsplat.presenters.base import Presenter, Terminal, changed, pixels
 from tsplat.presenters.enlarge import enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
-from tsplat.viewer.controls import View
+from tsplat.viewer.controls import View, moves
 from tsplat.viewer.engine import Engine, Prepared
 from tsplat.viewer.figures import Shown, figures, status
 from tsplat.viewer.held import Held
@@ -199,9 +199,9 @@ class Viewer:
         if taken is not None:
             self._panel, self._view = taken
         else:
-            self._held.after(event, now)
+            self._held = self._held.after(event, now)
             self._view = before.after(event, self._terminal)
-        if self._held.active(now, now) or self._view.moves_from(before):
+        if self._holding or self._view.moves_from(before):
             self._heard = self._heard or now
         if self._view.wish:
             wish, self._view = self._view.wish, replace(self._view, wish="")
@@ -366,8 +366,7 @@ class Viewer:
 
     @property
     def _holding(self) -> bool:
-        now = time.monotonic()
-        return bool(self._held.active(now, now))
+        return any(moves(key) for key in self._held.down(time.monotonic()))
 
     @property
     def _covered(self) -> bool:
