@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tsplat.core.errors import SceneError, TsplatError, printable
+from tsplat.core.errors import ParamsError, SceneError, TsplatError, printable
 from tsplat.io.clean import scene_from_arrays
 
 if TYPE_CHECKING:
@@ -52,9 +52,10 @@ def load_scene(
         SceneError: no scene can be made of the file; one line that says why and what to do.
         ParamsError: ``max_splats`` is less than 1.
     """
-    from tsplat.io.base import ReadOptions, check_max_splats
+    from tsplat.io.base import ReadOptions
 
-    check_max_splats(max_splats)
+    if max_splats is not None and max_splats < 1:
+        raise ParamsError(f"max_splats: expected 1 or more, got {max_splats}")
     options = ReadOptions(max_splats, raw_opacity, sh_float32=sh_float32)
     if progress is not None:
         options = replace(options, progress=progress)

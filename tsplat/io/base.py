@@ -9,7 +9,7 @@ from typing import NoReturn, Protocol
 
 import numpy as np
 
-from tsplat.core.errors import ParamsError, SceneError, printable
+from tsplat.core.errors import SceneError, printable
 from tsplat.core.types import I64, Scene
 
 SAMPLE_SEED = 0x5EED
@@ -64,19 +64,8 @@ def sample_rows(total: int, keep: int) -> I64:
     return np.random.default_rng(SAMPLE_SEED).integers(edges[:-1], edges[1:])
 
 
-def check_max_splats(keep: int | None) -> None:
-    """Raises ParamsError unless ``keep`` is None, for all, or a number of Gaussians."""
-    if keep is not None and keep < 1:
-        raise ParamsError(f"max_splats: expected 1 or more, got {keep}")
-
-
 def sampled(scene: Scene, keep: int | None) -> Scene:
-    """``keep`` of the Gaussians of a scene in memory, as a reader keeps them of a file; None: all.
-
-    Raises:
-        ParamsError: ``keep`` is less than 1.
-    """
-    check_max_splats(keep)
+    """``keep`` of the Gaussians of a scene in memory, as a reader keeps them of a file; None: all."""
     if keep is None or keep >= len(scene):
         return scene
     dropped = {**scene.dropped, SAMPLED: len(scene) - keep}
