@@ -25,6 +25,7 @@ from tsplat.terminal import Event, Flight, Screen, choose_presenter
 from tsplat.viewer.controls import View
 from tsplat.viewer.pace import Pace
 from tsplat.viewer.pipeline import Pipeline
+from tsplat.viewer.shades import shaded
 from tsplat.viewer.text import help_page, status_line
 
 if TYPE_CHECKING:
@@ -42,18 +43,19 @@ class Picture:
     view: View
     level: int  # of Pace; 0 has all pixels
     size: tuple[int, int]  # px
+    shades: int | None  # of each channel; None: all
     terminal: Terminal
     presenter: Presenter
     begun: float  # s, monotonic
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Drawn:
     """One that was rendered. Its frames are its own: the workspace goes on to the next."""
 
     picture: Picture
     camera: Camera
-    frame: Frame  # as it is encoded: on its background, as large as encode wants it
+    frame: Frame  # as it is encoded: on its background, as large as encode wants it, in its shades
     rendered: Rendered  # its frame only where it is verified
     seconds: float
 
@@ -106,7 +108,7 @@ class Viewer:
         terminal = self._screen.terminal
         self._presenter, _ = choose_presenter(self._presenters, terminal, self._wanted)
         self._screen.cleanup = self._presenter.clear(terminal)
-        self._pace = Pace(self._presenter.size(terminal), self._fps, far=terminal.remote)
+        self._pace = Pace(self._presenter.size(terminal), self._fps, far=self._screen.far)
         self._asked = None
         self._sent = deque(None for _ in self._sent)
 
@@ -228,8 +230,9 @@ class Viewer:
         if level is None or now < self._due(level):
             return
         self._asked = Picture(
-            self._view, level, self._pace.size(level), self._screen.terminal, self._presenter, now
-        )
+            self._view, level, self._pace.size(level), self._pace.shades(level),
+            self._screen.terminal, self._presenter, now,
+        )  # fmt: skip
         self._pipeline.ask(self._asked)
 
     # --- the pipeline's threads
@@ -258,6 +261,8 @@ class Viewer:
         presenter, terminal = picture.presenter, picture.terminal
         few = presenter.fill is not None and picture.size != presenter.size(terminal)
         encode = presenter.fill if few and presenter.fill is not None else presenter.encode
+        if picture.shades is not None:
+            drawn.frame = shaded(drawn.frame, picture.shades, before.frame if before else None)
         try:
             payload = encode(drawn.frame, terminal, before.frame if before else None)
         except Exception as error:
