@@ -54,7 +54,9 @@ class Link:
         self._flying: deque[_Frame] = deque()
         self._answered = -math.inf  # the last answer
         self._samples: deque[tuple[int, float]] = deque(maxlen=SAMPLES)  # bytes, s
-        self._drained = -math.inf  # when the bottleneck has sent what it was given, if ``rate`` is right
+        self._drained = (
+            -math.inf
+        )  # when the bottleneck has sent what it was given, if ``rate`` is right
 
     @property
     def far(self) -> bool:

@@ -1,7 +1,9 @@
 """A session on the terminal that leaves no trace, however it ends.
 
-Synchronized output: https://github.com/contour-terminal/vt-extensions ; modes 1049, 25, 1002 and
-1006, and DSR (``CSI 5 n``): https://invisible-island.net/xterm/ctlseqs/ctlseqs.html
+Synchronized output: https://github.com/contour-terminal/vt-extensions ; modes 1049, 25, 1002, 1004,
+1006 and 1016, and DSR (``CSI 5 n``): https://invisible-island.net/xterm/ctlseqs/ctlseqs.html ;
+releases of keys: https://sw.kovidgoyal.net/kitty/keyboard-protocol/ ; mode 2048:
+https://gist.github.com/rockorager/e695fb2924d36b2bcf1fff4a3704bd83
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
 from tsplat.presenters.placeholders import through_tmux
 from tsplat.terminal import device
-from tsplat.terminal.answers import DA1, DA1_ANSWER, resized
+from tsplat.terminal.answers import DA1, DA1_ANSWER, resized, told_size
 from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, READ_SIZE
 from tsplat.terminal.events import Decoder, Event
 from tsplat.terminal.link import Flight, Link
@@ -35,8 +37,13 @@ END_UPDATE = b"\x1b[?2026l"  # ESU
 HOME = b"\x1b[H"
 CLEAR = b"\x1b[m\x1b[2J" + HOME
 HIDE_CURSOR, SHOW_CURSOR = b"\x1b[?25l", b"\x1b[?25h"
-MOUSE_ON = b"\x1b[?1002h\x1b[?1006h"  # buttons and drags, told as SGR
-MOUSE_OFF = b"\x1b[?1006l\x1b[?1002l"
+# Kitty's keyboard protocol, on a stack that each screen has of its own: 2 tells releases, 8 those
+# of letters, too; 16 tells the text, 4 the letter with Shift, 1 is what these are built upon
+KEYS = b"\x1b[>31u", b"\x1b[<u"
+PIXELS = b"\x1b[?1016h", b"\x1b[?1016l"  # the mouse in px; after 1006, which it takes the place of
+MOUSE = b"\x1b[?1002h\x1b[?1006h", b"\x1b[?1006l\x1b[?1002l"  # buttons and drags, told as SGR
+FOCUS = b"\x1b[?1004h", b"\x1b[?1004l"  # unknown to some, harmless to all
+SIZES = b"\x1b[?2048h", b"\x1b[?2048l"  # told in-band, at once and when they change
 STRING_END = b"\x1b\\"  # ST
 PLAIN = b"\x1b[m"
 STATUS_REPORT = b"\x1b[5n"  # DSR, answered CSI 0 n once all before it is done
@@ -63,7 +70,10 @@ class Terminated(SystemExit):
 
 
 class Screen:
-    """The alternate screen in raw mode, cursor hidden, mouse reported; a context manager.
+    """The alternate screen in raw mode, cursor hidden, mouse and focus told; a context manager.
+
+    Where the terminal is known to have them, releases of keys, the mouse in px and sizes are told,
+    too; ``mouse`` False asks for none of these.
 
     All is restored on normal exit, exceptions, SIGTERM, SIGHUP, SIGINT and, as a last resort, at
     interpreter exit. A signal's handler takes note and wakes the reader; the call of this class
@@ -97,6 +107,7 @@ class Screen:
         self.watched: int | None = None  # descriptor; the event "watched" while it can be read
         self._asked = terminal is not None
         self._in, self._out, self._mouse = fd_in, fd_out, mouse
+        self._on: tuple[tuple[bytes, bytes], ...] = ()  # modes, in the order they are undone
         self._environ = os.environ if environ is None else environ
         self._timeout = device.patience(self._environ) if timeout is None else timeout
         self._sharing = Sharing(self._environ)
@@ -178,7 +189,30 @@ class Screen:
         device.write_all(self._out, ENTER_ALTERNATE)
 
     def _set_modes(self) -> None:
-        device.write_all(self._out, HIDE_CURSOR + (MOUSE_ON if self._mouse else b"") + CLEAR)
+        device.write_all(self._out, HIDE_CURSOR + self._switched() + CLEAR)
+
+    def _wanted(self) -> tuple[tuple[bytes, bytes], ...]:
+        """The modes that this terminal is to have, in the order in which they are undone."""
+        if not self._mouse:
+            return ()
+        facts = self.terminal
+        modes = (
+            (KEYS, facts.keyboard), (PIXELS, facts.pixel_mouse), (MOUSE, True), (FOCUS, True),
+            (SIZES, facts.in_band_resize),
+        )  # fmt: skip
+        return tuple(mode for mode, wanted in modes if wanted)
+
+    def _switched(self) -> bytes:
+        """What makes the modes that are on those that are wanted. Never is one on twice."""
+        off, self._on = self._undone(), self._wanted()
+        self._decoder.keyboard = KEYS in self._on
+        return off + b"".join(on for on, _ in reversed(self._on))
+
+    def _undone(self) -> bytes:
+        """What switches the modes off."""
+        off, self._on = b"".join(off for _, off in self._on), ()
+        self._decoder.keyboard = False
+        return off
 
     def _ask(self) -> None:
         begun = time.monotonic()
@@ -208,7 +242,7 @@ class Screen:
         saved, self._saved = self._saved, None
         undo = STRING_END if self._rest else b""  # of a picture that is sent in part
         self._rest.clear()
-        undo += END_UPDATE + STRING_END + self.cleanup + (MOUSE_OFF if self._mouse else b"")
+        undo += END_UPDATE + STRING_END + self.cleanup + self._undone()
         undo += PLAIN + SHOW_CURSOR + LEAVE_ALTERNATE
         try:
             if device.write_all(self._writable, undo + DA1, LEAVE_SECONDS) and self._answering:
@@ -476,14 +510,18 @@ class Screen:
                 data = os.read(self._in, READ_SIZE)
                 if not data:
                     raise Terminated(signal.SIGHUP)
-                self._heard = time.monotonic()
+                self._heard, facts = time.monotonic(), self.terminal
+                cell = facts.cell_width, facts.cell_height
+                self._decoder.cell = cell if PIXELS in self._on else None
                 self._take_in(self._decoder.feed(data))
         if self.watched in readable:
             self._queue.append(Event("watched"))
 
     def _take_in(self, events: list[Event]) -> None:
         for event in events:
-            if event.kind != "ready":
+            if event.kind == "resize":
+                self._take_size(event)
+            elif event.kind != "ready":
                 self._queue.append(event)
             elif self._overdue:
                 self._overdue -= 1  # of a frame given up: it is slow, but it answers
@@ -506,8 +544,17 @@ class Screen:
                     self._understand()
                     self._queue.append(Event("terminal"))
 
+    def _take_size(self, told: Event) -> None:
+        """A size told in-band, if it is one, and news: SIGWINCH may have been here before."""
+        assert told.size is not None
+        facts, self.terminal = self.terminal, told_size(self.terminal, told.size)
+        if self.terminal != facts:
+            self._queue.append(told)
+
     def _on_time(self) -> None:
         now = time.monotonic()
+        if self._on != self._wanted() and not self._rest:  # late answers; never amid a frame
+            self.write(self._switched())
         if self._decoder.pending and now >= self._heard + ESCAPE_SECONDS:
             self._queue += self._decoder.flush()
             self._heard = now
@@ -535,4 +582,6 @@ class Screen:
             self._rest.clear()
             self._again()
         elif signal.SIGWINCH in noted:
-            self._resize()
+            size = device.window_size(self._out)
+            if SIZES not in self._on or resized(self.terminal, size) != self.terminal:
+                self._resize()
