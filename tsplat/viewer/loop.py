@@ -32,6 +32,7 @@ from tsplat.viewer.panel import Panel, placed
 from tsplat.viewer.pick import point_under
 from tsplat.viewer.pipeline import Pipeline
 from tsplat.viewer.settings import Facts
+from tsplat.viewer.shades import shaded
 from tsplat.viewer.text import help_page, help_top, status_line
 from tsplat.views import frame_orbit
 
@@ -52,6 +53,7 @@ class Picture:
     view: View
     level: int  # of Pace; 0 has all pixels
     size: tuple[int, int]  # px
+    shades: int | None  # of each channel; None: all
     terminal: Terminal
     presenter: Presenter
     begun: float  # s, monotonic
@@ -59,13 +61,13 @@ class Picture:
     rests: bool = False  # nothing moves: as good as the presenter can
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Drawn:
     """One that was rendered. Its frames are its own: the workspace goes on to the next."""
 
     picture: Picture
     camera: Camera
-    frame: Frame  # as it is encoded: on its background, as large as encode wants it
+    frame: Frame  # as it is encoded: on its background, as large as encode wants it, in its shades
     rendered: Rendered  # its frame only where it is verified
     prepared: Prepared
     seconds: float
@@ -148,7 +150,7 @@ class Viewer:
         self._terminal = self._layout.picture or screen.terminal
         fps = min(look.fps, self._presenter.fps(screen.terminal))
         size = self._presenter.size(self._terminal)
-        self._pace = Pace(size, fps, far=screen.terminal.remote)
+        self._pace = Pace(size, fps, far=screen.far)
         self._asked = None
         self._sent = deque(None for _ in self._sent)
         self._heads.lines = []
@@ -453,8 +455,8 @@ class Viewer:
         self._heard = None if fresh else self._heard
         rests = level == 0 and self._presenter.rest is not None and not self._moving
         self._asked = Picture(
-            self._view, level, self._pace.size(level), self._terminal, self._presenter, now, heard,
-            rests,
+            self._view, level, self._pace.size(level), self._pace.shades(level), self._terminal,
+            self._presenter, now, heard, rests,
         )  # fmt: skip
         self._pipeline.ask(self._asked)
 
@@ -487,6 +489,8 @@ class Viewer:
         presenter, terminal = picture.presenter, picture.terminal
         few = presenter.fill is not None and picture.size != presenter.size(terminal)
         encode = presenter.fill if few and presenter.fill is not None else presenter.encode
+        if picture.shades is not None:
+            drawn.frame = shaded(drawn.frame, picture.shades, before.frame if before else None)
         try:
             if picture.rests and presenter.rest is not None:
                 same = (
