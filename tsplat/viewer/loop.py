@@ -14,14 +14,14 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from tsplat.core.camera import Camera
-from tsplat.core.errors import CameraError, PluginError, printable
+from tsplat.core.errors import CameraError, PluginError, TsplatError, printable
 from tsplat.core.types import Frame
 from tsplat.plan import Rendered
 from tsplat.plugins import ask
 from tsplat.presenters.base import Presenter, Terminal, changed, pixels
 from tsplat.presenters.enlarge import enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
-from tsplat.viewer.controls import DOUBLE_SECONDS, View, moves
+from tsplat.viewer.controls import DOUBLE_SECONDS, View, moves, pointed
 from tsplat.viewer.engine import Engine, Prepared
 from tsplat.viewer.figures import Shown, figures, status
 from tsplat.viewer.held import Held
@@ -131,8 +131,8 @@ class Viewer:
         self._held = Held()
         self._heard: float | None = None  # when input came that no picture shows yet
         self._latency: float | None = None  # s, from the last input to its picture
-        self._clicked: tuple[tuple[float, float], float] = (-1.0, -1.0), 0.0  # last: cell, s
         self._recording: Recording | None = None
+        self._click: tuple[float, float, float] | None = None  # s, monotonic, and cell: the last
         self._place = -1  # in the file of cameras
         self._clock = self._moved = time.monotonic()
         self._moved -= STILL_SECONDS
@@ -204,22 +204,25 @@ class Viewer:
         else:
             self._held = self._held.after(event, now)
             self._view = before.after(event, self._terminal)
-        if event.kind == "mouse" and event.action == "press" and self._again(event, now):
-            self._view = self._view.wishing("under")
         if self._holding or self._view.moves_from(before):
             self._heard = self._heard or now
+        if self._clicked_twice(event, now) and taken is None:
+            self._view = self._view.wishing("under")
         if self._view.wish:
             wish, self._view = self._view.wish, replace(self._view, wish="")
             self._grant(wish)
         self._changed(before)
 
-    def _again(self, event: Event, now: float) -> bool:
-        """Whether a click is the second one at its place; the third is a first one again."""
-        at, then = self._clicked
-        near = abs(event.x - at[0]) <= 1 and abs(event.y - at[1]) <= 1
-        double = event.button == "left" and near and now - then <= DOUBLE_SECONDS
-        self._clicked = (event.x, event.y), 0.0 if double else now
-        return double
+    def _clicked_twice(self, event: Event, now: float) -> bool:
+        """Whether this is a click of the left button soon after another on the same place."""
+        if event.kind != "mouse" or event.action != "press":
+            return False
+        last, self._click = self._click, (now, event.x, event.y)
+        if event.button != "left" or last is None or now > last[0] + DOUBLE_SECONDS:
+            return False
+        near = abs(event.x - last[1]) <= 1 and abs(event.y - last[2]) <= 1
+        self._click = None if near else self._click  # a third click is the first of two others
+        return near
 
     def _turned_help(self, event: Event) -> bool:
         """Whether ``event`` turned a page that is longer than the screen."""
@@ -267,6 +270,7 @@ class Viewer:
         self._screen.clear()
         self._helping, self._lead = False, b""
         self._choose()
+        self._figure()
         self._tell()
 
     def _acknowledged(self) -> None:
@@ -343,10 +347,13 @@ class Viewer:
         width, height = terminal.pixels
         x, y = width / 2, height / 2
         if view.cursor is not None:
-            x = (view.cursor[0] + 0.5) * terminal.cell_width
-            y = (view.cursor[1] + 0.5) * terminal.cell_height
+            x, y = pointed(*view.cursor, terminal)
         camera = view.camera((width, height), (1.0, 1.0))
-        point = point_under(self._engine.prepared_last, camera, x, y)
+        try:
+            point = point_under(self._engine.prepared_last, camera, x, y)
+        except (TsplatError, MemoryError) as error:  # a backend need not offer depths
+            self._notify(f"no depth there: {printable(error)}")
+            return
         if point is None:
             self._notify("nothing there")
         else:
