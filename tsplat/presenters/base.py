@@ -90,8 +90,8 @@ class Presenter:
     While the picture moves it may have fewer pixels than ``size``. ``fill(frame, terminal,
     previous)``, where it is offered, is ``encode`` for those: the picture covers what one of
     ``size`` would. Of both the ``previous`` frame may be of either kind. ``rest(frame, terminal)``,
-    where it is offered, are the bytes for a picture of ``size`` that stays for a while, whatever the
-    screen shows: better than ``encode``'s, which then may be as quick as moving pictures want it.
+    where it is offered, are the bytes for a picture of ``size`` that stays for a while, whatever
+    the screen shows: better than ``encode``'s, which then may be as quick as moving pictures want.
     """
 
     name: str
@@ -166,7 +166,7 @@ def changed(image: U8, previous: Frame | None) -> bool:
 def encoded(
     presenter: Presenter, frame: Frame, terminal: Terminal, previous: Frame | None = None
 ) -> bytes:
-    """``presenter.encode``'s bytes; of a picture that stays, ``still``'s or ``rest``'s if there are.
+    """``presenter.encode``'s bytes; of one that stays, ``still``'s or ``rest``'s if there are.
 
     Raises:
         PluginError: the presenter failed.

@@ -362,7 +362,9 @@ def sixel_percent(body: bytes, terminal: Terminal, faults: list[str]) -> NDArray
 
 
 def sixel(data: bytes, terminal: Terminal) -> Decoded:
-    """Sixel pictures painted over each other, each from the cursor's cell on; a percent is 2.55 levels.
+    """Sixel pictures painted over each other, each from the cursor's cell on.
+
+    A percent is 2.55 levels.
 
     Registers are private to a picture: some terminals keep the last picture's, some do not. A
     picture that is drawn over a part of another must end with a cell and a band, or with that
@@ -388,7 +390,9 @@ def sixel(data: bytes, terminal: Terminal) -> Decoded:
         if top != int(top):
             faults.append(f"a picture from px {top} on, and cells of {terminal.cell_height} px")
         if end < len(canvas.pixels) and (end % terminal.cell_height or len(shown) % SIXEL_BAND):
-            faults.append(f"a picture within another that ends in the middle of a cell, at {end} px")
+            faults.append(
+                f"a picture within another that ends in the middle of a cell, at {end} px"
+            )
         canvas.paint(shown.astype(np.int16), int(top))
     return canvas.shown(terminal, faults)
 
