@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -29,6 +29,7 @@ from tsplat.terminal import device
 from tsplat.terminal.answers import DA1, DA1_ANSWER, resized, told_size
 from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, READ_SIZE
 from tsplat.terminal.events import Decoder, Event
+from tsplat.terminal.link import Flight, Link
 from tsplat.terminal.sharing import Sharing
 
 BEGIN_UPDATE = b"\x1b[?2026h"  # BSU: unknown to some, harmless to all; Konsole has it untold
@@ -49,6 +50,7 @@ STATUS_REPORT = b"\x1b[5n"  # DSR, answered CSI 0 n once all before it is done
 
 ESCAPE_SECONDS = 0.05  # a lone ESC older than this is the Escape key
 FRAME_SECONDS = 1.0  # a frame is given up that a terminal has not acknowledged which never did
+SLOWEST = 5e3  # bytes/s: for each 5 kB of such a frame a second more
 PATIENCE_SECONDS = 20.0  # and of one that did: the line is slow, or the network away for a while
 BURST_SECONDS = 0.01  # what ``max_rate`` allows in that time goes at once
 PIECE = 256  # bytes; a tty that can be written to takes so many without a long wait
@@ -65,14 +67,6 @@ class Terminated(SystemExit):
     def __init__(self, signum: int) -> None:
         super().__init__(128 + signum)
         self.signum = signum
-
-
-@dataclass(frozen=True)
-class Flight:
-    """How a tracked frame got through."""
-
-    sent: int  # bytes
-    seconds: float  # from the first byte's write until the terminal's answer was here
 
 
 class Screen:
@@ -131,15 +125,15 @@ class Screen:
         self._waiting = False  # in a call that a signal may interrupt
         self._leaving = False
         self._unanswered = self._overdue = self._given_up = 0  # status reports
-        # s, monotonic: when the last tracked frame was begun, and written; last input
-        self._begun = self._sent = self._heard = 0.0
+        self._sent = self._heard = 0.0  # s, monotonic: last output of a tracked frame, last input
         self._answered = False  # a status report, ever
-        self.flight: Flight | None = None  # of the last frame acknowledged
+        self.link = Link()
+        self.flights: deque[Flight] = deque()  # of frames acknowledged, until somebody takes them
+        self._to_tell = False  # a tracked frame was drawn, and no "ready" has come since
         self._nudge_at: float | None = None
         self._patient: int | None = None  # writes to it do not block
         self._rest: deque[memoryview] = deque()  # output that the tty has not taken yet
         self._free_at = 0.0  # s, monotonic: when ``max_rate`` lets more of it go
-        self._size = 0  # bytes of the last tracked frame
         self._posted: deque[Event] = deque()  # by other threads
 
     # --- entering and leaving
@@ -221,10 +215,13 @@ class Screen:
         return off
 
     def _ask(self) -> None:
+        begun = time.monotonic()
         heard = device.ask(self._in, self._out, self._environ, self._sharing, self._timeout)
         self._heard_first = heard
         self._said = heard.answers
         self._answering = DA1_ANSWER.search(self._said) is not None
+        if self._answering:
+            self.link.pinged(time.monotonic() - begun)
         self._understand()
         self._queue += self._decoder.feed(heard.typed)
 
@@ -233,6 +230,7 @@ class Screen:
         heard = replace(self._heard_first, answers=self._said)
         size = device.window_size(self._out)
         self.terminal = self._sharing.shared_by(heard.terminal(self._environ, size))
+        self.link.remote = self.terminal.remote
         if self._answering:
             self._sharing.close()  # of what was asked, all that will be taken has been
 
@@ -276,6 +274,7 @@ class Screen:
         """Sets the modes and asks for a redraw: who knows what happened meanwhile."""
         self._set_modes()
         self._unanswered = self._overdue = 0
+        self.link.lost()
         self._resize()
 
     def _resize(self) -> None:
@@ -338,7 +337,7 @@ class Screen:
             self._rest.append(memoryview(data))
             while self._rest:
                 self._pump()
-                if self._rest and time.monotonic() < self._free_at:
+                if self._rest and time.monotonic() < self._held_until:
                     time.sleep(BURST_SECONDS)
                 elif self._rest:
                     select.select([], [self._writable], [])
@@ -356,11 +355,12 @@ class Screen:
     def _pump(self) -> None:
         """Writes what the tty takes without being waited for, or a piece of it if it must be."""
         while self._rest:
-            now, part = time.monotonic(), len(self._rest[0])
+            now = time.monotonic()
+            if now < self._held_until:
+                return
+            part = int(max(PIECE, min(len(self._rest[0]), self.link.room(now))))
             if self.max_rate:
-                if now < self._free_at:
-                    return
-                part = max(PIECE, int(self.max_rate * BURST_SECONDS))
+                part = min(part, max(PIECE, int(self.max_rate * BURST_SECONDS)))
             first = self._rest.popleft()
             if self._patient is not None:
                 taken = device.write_some(self._patient, first[:part])
@@ -372,8 +372,14 @@ class Screen:
                 self._rest.appendleft(first[taken:])
             if not taken:
                 return
+            self.link.wrote(now, taken)
             if self.max_rate:
                 self._free_at = max(self._free_at, now - BURST_SECONDS) + taken / self.max_rate
+
+    @property
+    def _held_until(self) -> float:
+        """When more may be written, in monotonic s."""
+        return max(self._free_at, self.link.opens)
 
     def abandon(self) -> bool:
         """Ends the frame that is being written where it is. False if all is written already.
@@ -382,10 +388,9 @@ class Screen:
         """
         if not self._rest:
             return False
-        left = sum(len(part) for part in self._rest)
         self._rest.clear()
-        self._size = max(0, self._size - left)
-        self._send(STRING_END + END_UPDATE + PLAIN + STATUS_REPORT * (self._unanswered > 0))
+        asked = self.link.cut()  # else its question has been sent
+        self._send(STRING_END + END_UPDATE + PLAIN + STATUS_REPORT * asked)
         return True
 
     def post(self, event: Event) -> None:
@@ -413,11 +418,12 @@ class Screen:
         if not track:
             self._send(data)
         elif self._answering:
-            self._unanswered, self._sent, self._size = self._unanswered + 1, now, len(data)
-            self._begun = now
+            self._unanswered, self._sent, self._to_tell = self._unanswered + 1, now, True
             # tmux would answer at once, however far behind the terminal around it is
             through = self.terminal.kitty and self.terminal.around
-            self._send(data + (through_tmux(STATUS_REPORT) if through else STATUS_REPORT))
+            data += through_tmux(STATUS_REPORT) if through else STATUS_REPORT
+            self.link.begin(now, len(data), sum(map(len, self._rest)))
+            self._send(data)
         else:
             self._queue.append(Event("ready"))
             self._send(data)
@@ -426,13 +432,27 @@ class Screen:
 
     @property
     def busy(self) -> bool:
-        """Whether a tracked frame is still on its way: sending more would only queue up."""
-        waits = self._unanswered > 0 and time.monotonic() < self._sent + self._limit
-        return waits or bool(self._rest)
+        """Whether a tracked frame sent now would only queue up behind those on their way."""
+        return bool(self._rest) or self._free_in > 0
+
+    @property
+    def waiting(self) -> bool:
+        """Whether any tracked frame is to be answered yet."""
+        return self._unanswered > 0
+
+    @property
+    def _free_in(self) -> float:
+        """Seconds until those on their way do not matter any more, at most."""
+        if not self._unanswered:
+            return 0.0
+        now = time.monotonic()
+        return max(0.0, min(self._sent + self._limit - now, self.link.wait(now)))
 
     @property
     def _limit(self) -> float:
-        return PATIENCE_SECONDS if self._answered else FRAME_SECONDS
+        if self._answered:
+            return PATIENCE_SECONDS
+        return FRAME_SECONDS + self.link.under_way / SLOWEST
 
     # --- input
 
@@ -458,11 +478,13 @@ class Screen:
         ends = [t for t in (end, self._nudge_at) if t is not None]
         if self._unanswered:
             ends.append(self._sent + self._limit)
+            if self._to_tell and not self._rest:
+                ends.append(time.monotonic() + self._free_in)
         if self._decoder.pending:
             ends.append(self._heard + ESCAPE_SECONDS)
-        held_back = bool(self._rest) and time.monotonic() < self._free_at
+        held_back = bool(self._rest) and time.monotonic() < self._held_until
         if held_back:
-            ends.append(self._free_at)
+            ends.append(self._held_until)
         writable = [self._writable] if self._rest and not held_back else []
         limit = max(0.0, min(ends) - time.monotonic()) if ends else None
         wake = self._wake[0] if self._wake is not None else self._in
@@ -503,8 +525,10 @@ class Screen:
             elif self._unanswered:
                 self._unanswered, self._given_up = self._unanswered - 1, 0
                 self._answered = True
-                if not self._unanswered:
-                    self.flight = Flight(self._size, self._heard - self._begun)
+                if flight := self.link.answered(self._heard):
+                    self.flights.append(flight)
+                if not self.busy:
+                    self._to_tell = False
                     self._queue.append(event)
         if answers := bytes(self._decoder.answers):
             self._decoder.answers.clear()
@@ -533,6 +557,11 @@ class Screen:
             self._overdue, self._unanswered = self._overdue + self._unanswered, 0
             self._given_up += 1
             self._answering = self._given_up < GIVE_UPS
+            self.link.lost()
+            self._to_tell = False
+            self._queue.append(Event("ready"))
+        elif self._to_tell and not self.busy:
+            self._to_tell = False
             self._queue.append(Event("ready"))
         if self._nudge_at is not None and now >= self._nudge_at:
             self._nudge_at = None

@@ -21,7 +21,7 @@ from tsplat.plugins import ask
 from tsplat.presenters.base import Presenter, Terminal, changed, pixels
 from tsplat.presenters.enlarge import enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
-from tsplat.viewer.controls import View
+from tsplat.viewer.controls import View, moves
 from tsplat.viewer.engine import Engine, Prepared
 from tsplat.viewer.figures import Shown, figures, status
 from tsplat.viewer.held import Held
@@ -120,7 +120,8 @@ class Viewer:
         screen.watched = around.verifier.fileno() if around.verifier else None
         self._pipeline = pipeline
         self._asked: Picture | None = None  # last
-        self._sent: tuple[Drawn, Encoded] | None = None  # last, to be acknowledged
+        # On their way, to be acknowledged in this order; None: abandoned, or no picture
+        self._sent: deque[tuple[Drawn, Encoded] | None] = deque()
         self._heads = _Heads()
         self._panel, self._help_top = Panel(), 0
         self._helping = False  # the help page is on the screen
@@ -145,8 +146,10 @@ class Viewer:
         self._layout = layout(screen.terminal, self._view.settings)
         self._terminal = self._layout.picture or screen.terminal
         fps = min(look.fps, self._presenter.fps(screen.terminal))
-        self._pace = Pace(self._presenter.size(self._terminal), fps)
-        self._asked = self._sent = None
+        size = self._presenter.size(self._terminal)
+        self._pace = Pace(size, fps, far=screen.terminal.remote)
+        self._asked = None
+        self._sent = deque(None for _ in self._sent)
         self._heads.lines = []
 
     def run(self) -> None:
@@ -158,6 +161,7 @@ class Viewer:
                 for event in screen.read_events(self._timeout()):
                     self._hear(event)
                 if not self._view.quit:
+                    self._acknowledged()
                     self._show()
                     self._want()
                     self._verify()
@@ -178,11 +182,9 @@ class Viewer:
             self._redraw_all()
         elif event.kind == "watched":
             self._receive()
-        elif event.kind == "ready":
-            self._acknowledged()
         elif event.kind == "kept":
             self._notify(event.key)
-        else:
+        elif event.kind in ("key", "mouse", "focus"):
             self._advance()
             self._use(event)
 
@@ -197,9 +199,9 @@ class Viewer:
         if taken is not None:
             self._panel, self._view = taken
         else:
-            self._held.after(event, now)
+            self._held = self._held.after(event, now)
             self._view = before.after(event, self._terminal)
-        if self._held.active(now, now) or self._view.moves_from(before):
+        if self._holding or self._view.moves_from(before):
             self._heard = self._heard or now
         if self._view.wish:
             wish, self._view = self._view.wish, replace(self._view, wish="")
@@ -224,7 +226,7 @@ class Viewer:
             self._redraw_all()
         elif view.look != before.look:
             self._screen.max_rate = view.look.max_rate / 8 if view.look.max_rate else None
-            self._pace.period = 1 / view.look.fps
+            self._pace.period = 1 / min(view.look.fps, self._presenter.fps(self._screen.terminal))
         if view.moves_from(before):
             self._moved = time.monotonic()
             self._hurry()
@@ -237,9 +239,10 @@ class Viewer:
         if asked is None or (asked.level >= self._pace.level and not asked.rests):
             return
         self._pipeline.drop()
-        if self._sent is not None and self._sent[0].picture is asked and self._screen.abandon():
+        last = self._sent[-1] if self._sent else None
+        if last is not None and last[0].picture is asked and self._screen.abandon():
             self._pipeline.forget()
-            self._sent = None  # its flight tells nothing
+            self._sent[-1] = None  # its flight tells nothing
             self._lead = self._presenter.clear(self._screen.terminal)
 
     def _redraw_all(self) -> None:
@@ -254,20 +257,25 @@ class Viewer:
         self._tell()
 
     def _acknowledged(self) -> None:
-        """The frame sent last is on the screen."""
-        flight, self._screen.flight = self._screen.flight, None
-        sent, self._sent = self._sent, None
-        if sent is None or not sent[1].payload:  # what has not changed takes no time
-            return
-        drawn, encoded = sent
-        if drawn.picture.heard is not None:
-            self._latency = time.monotonic() - drawn.picture.heard
-        if drawn.picture.rests:  # tells nothing of moving ones
-            return
-        flight = flight or Flight(len(encoded.payload), 0.0)  # a terminal that answers nothing
-        self._pace.note(
-            drawn.picture.level, drawn.seconds, encoded.seconds, flight.seconds, flight.sent
-        )
+        """What the terminal has answered is on the screen."""
+        flights = self._screen.flights
+        while self._sent and (flights or not self._screen.waiting):
+            # a terminal that answers nothing has none
+            flight = flights.popleft() if flights else None
+            sent = self._sent.popleft()
+            if sent is None or not sent[1].payload:  # what has not changed takes no time
+                continue
+            drawn, encoded = sent
+            if drawn.picture.heard is not None:
+                self._latency = time.monotonic() - drawn.picture.heard
+            if drawn.picture.rests:  # tells nothing of moving ones
+                continue
+            flight = flight or Flight(len(encoded.payload), 0.0, 0.0)
+            self._pace.note(
+                drawn.picture.level, drawn.seconds, encoded.seconds, flight.occupied, flight.sent,
+                flight.seconds,
+            )  # fmt: skip
+        flights.clear()
 
     # --- wishes
 
@@ -358,8 +366,7 @@ class Viewer:
 
     @property
     def _holding(self) -> bool:
-        now = time.monotonic()
-        return bool(self._held.active(now, now))
+        return any(moves(key) for key in self._held.down(time.monotonic()))
 
     @property
     def _covered(self) -> bool:
@@ -496,7 +503,8 @@ class Viewer:
         if self._view.help:
             if not self._helping:
                 self._pipeline.forget()
-                self._helping, self._asked, self._sent, self._help_top = True, None, None, 0
+                self._helping, self._asked, self._help_top = True, None, 0
+                self._sent.append(None)
                 clear = self._presenter.clear(screen.terminal)
                 screen.draw(clear + help_page(screen.terminal))
             return
@@ -511,19 +519,20 @@ class Viewer:
             screen.clear()
             self._heads.lines = []
         self._count()
-        if drawn.prepared.trouble:
+        if drawn.prepared.trouble not in ("", self._heads.notice):
             self._notify(drawn.prepared.trouble)
         self._heads.shown = self._of(drawn, encoded)
         if drawn.picture.level == 0 or time.monotonic() > self._heads.figured + FIGURE_SECONDS:
             self._figure()
         lead, self._lead = self._lead, b""
-        self._sent = made
+        self._sent.append(made)
         screen.draw(lead + encoded.payload + self._words())
         if self._around.verifier is not None and drawn.prepared.look == self._verified:
             self._around.verifier.show(drawn.camera, drawn.rendered.frame)
 
     def _of(self, drawn: Drawn, encoded: Encoded) -> Shown:
         span = self._frames[-1] - self._frames[0]
+        several = len(self._frames) > 3 and self._moving
         return Shown(
             scene=drawn.prepared.scene,
             plan=drawn.prepared.plan,
@@ -533,7 +542,7 @@ class Viewer:
             size=drawn.picture.size,
             full=self._pace.size(0),
             camera=drawn.camera,
-            frames=(len(self._frames) - 1) / span if span and self._moving else None,
+            frames=(len(self._frames) - 1) / span if several and span else None,
             encode=encoded.seconds,
             sent=len(encoded.payload),
             link=self._pace.link,
