@@ -42,6 +42,7 @@ class Terminal:
     sixel_registers: int = 256  # colour registers at most
     sixel_max: tuple[int, int] = (0, 0)  # px, largest sixel picture; 0 for unknown
     glyphs: str = "quadrants"  # blocks worth showing: halves, quadrants, sextants or octants
+    samples: int = 0  # px rendered for each one shown, each way; 0: as many as the presenter says
     draws_blocks: bool = False  # known to draw those itself, whatever the font has
     synchronized: bool = False  # DEC mode 2026
     name: str = ""  # what it calls itself (XTVERSION), printable
@@ -104,11 +105,19 @@ class Presenter:
     still: Callable[[Frame, Terminal], bytes] | None = None
     clear: Callable[[Terminal], bytes] = _nothing  # takes the picture away again
     fps: Callable[[Terminal], float] = _any  # pictures a second at most
+    # px rendered for each one shown, each way: Gaussians are widened to a pixel, so where pixels
+    # are as large as half a cell, the mean of smaller ones is nearer to the scene
+    samples: int = 1
     rank: int = -1  # "auto" takes the highest that is supported
     # encode for a frame that stays for a while; None: encode's are as good as can be
     rest: Callable[[Frame, Terminal], bytes] | None = None
     # encode for a frame of fewer px, shown over the same area; None: the viewer repeats pixels
     fill: Callable[[Frame, Terminal, Frame | None], bytes] | None = None
+
+
+def sampling(presenter: Presenter, terminal: Terminal) -> int:
+    """How many px are rendered for each one shown, each way, at full size."""
+    return terminal.samples or presenter.samples
 
 
 def no_pictures(terminal: Terminal) -> str | None:
