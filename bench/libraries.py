@@ -70,7 +70,12 @@ class _String(ctypes.Structure):
 
 
 def libchafa(
-    mode: str, columns: int, rows: int, cell: tuple[int, int], symbols: str = "", colors: int = 1 << 24
+    mode: str,
+    columns: int,
+    rows: int,
+    cell: tuple[int, int],
+    symbols: str = "",
+    colors: int = 1 << 24,
 ) -> Callable[[U8], bytes] | None:
     """Its canvas of that many cells of ``cell`` px; None if it is not installed."""
     lib, glib = _library("chafa"), _library("glib-2.0")

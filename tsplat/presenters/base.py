@@ -146,8 +146,11 @@ def changed_rows(image: U8, previous: Frame | None) -> range | None:
     every = range(len(image))
     if previous is None or previous.rgb.shape[:2] != image.shape[:2]:
         return every
-    first, last = (_first_change(image, previous, rows) for rows in (every, every[::-1]))
-    return None if first is None or last is None else range(first, last + 1)
+    first = _first_change(image, previous, every)
+    if first is None:
+        return None
+    last = _first_change(image, previous, every[::-1])
+    return range(first, first + 1 if last is None else last + 1)
 
 
 def _first_change(image: U8, previous: Frame, rows: range) -> int | None:

@@ -6,6 +6,8 @@ one colour are what runs, palettes and half blocks say in few bytes. Of more the
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from tsplat.core.types import I64, Frame
@@ -29,7 +31,7 @@ def enlarged(frame: Frame, width: int, height: int) -> Frame:
 
 
 def averaged(frame: Frame, samples: int) -> Frame:
-    """The mean of each ``samples`` x ``samples`` px of ``frame``; without its depth.
+    """The mean of each ``samples`` x ``samples`` px of ``frame`` as shown; without its depth.
 
     Of the demo scene in half blocks of 100x28 cells, against one of 12x12 px for each: 17.5 dB with
     1, 22.9 with 2, 27.0 with 3 and 30.4 with 4, which take no longer to render, as the Gaussians
@@ -37,9 +39,14 @@ def averaged(frame: Frame, samples: int) -> Frame:
     """
     if samples == 1:
         return frame
-    share = frame.rgb.dtype.type(1 / samples**2)
-    rgb, transmittance = (
-        sum(values[y::samples, x::samples] for y in range(samples) for x in range(samples)) * share
-        for values in (frame.rgb, frame.transmittance)
-    )
-    return Frame(np.asarray(rgb), np.asarray(transmittance))
+    return Frame(_means(frame.rgb.clip(0, 1), samples), _means(frame.transmittance, samples))
+
+
+def _means(values: Any, samples: int) -> Any:
+    """Of [H, W, ...], slice by slice: four times as quick as NumPy's mean over two axes."""
+    total = np.zeros_like(values[::samples, ::samples])
+    for y in range(samples):
+        for x in range(samples):
+            total += values[y::samples, x::samples]
+    total /= samples**2
+    return total
