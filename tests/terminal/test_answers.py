@@ -406,6 +406,14 @@ def test_alacritty_is_known_by_its_terminfo():
     assert not parse_answers(b"\x1b[?6c", {**environ, "TMUX": "1"}, WINSIZE).draws_blocks
 
 
+def test_the_number_of_samples_can_be_set():
+    """TSPLAT_SAMPLES, 1 to 8; nothing else is understood."""
+    assert parse_answers(b"", {**XTERM, "TSPLAT_SAMPLES": "3"}, WINSIZE).samples == 3
+    assert parse_answers(b"", XTERM, WINSIZE).samples == 0
+    with pytest.raises(TerminalError, match="TSPLAT_SAMPLES: expected 1 to 8, got '0'"):
+        parse_answers(b"", {**XTERM, "TSPLAT_SAMPLES": "0"}, WINSIZE)
+
+
 def test_unknown_block_characters_are_an_error():
     """The text lists those there are."""
     with pytest.raises(TerminalError, match=r"TSPLAT_GLYPHS: expected one of halves, quad.*'dots'"):

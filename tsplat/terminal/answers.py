@@ -101,6 +101,8 @@ _DRAWS = (
 MOST_CELLS = 4096  # rows or columns; 8K with letters of 2 px
 MOST_PIXELS = 1 << 27  # 16384x8192
 GLYPHS = "TSPLAT_GLYPHS"
+SAMPLES = "TSPLAT_SAMPLES"
+SAMPLES_MAX = 8
 GLYPH_SETS = ("halves", "quadrants", "sextants", "octants")
 
 
@@ -165,6 +167,7 @@ def parse_answers(
         in_band_resize=b"2048" in modes,
         pixel_mouse=b"1016" in modes or _has_pixel_mouse(said),
         glyphs=glyphs,
+        samples=wanted_samples(environ),
         draws_blocks=draws_blocks,
         name=name,
         multiplexer=mux,
@@ -320,6 +323,20 @@ def _glyphs(name: str, mux: str, environ: Mapping[str, str]) -> tuple[str, bool]
     version = tuple(int(n) for n in re.findall(r"\d{1,9}", name)[:2])
     draws = any(name.lower().startswith(start) and version >= first for start, first in _DRAWS)
     return "quadrants", draws and not mux  # a multiplexer's name says nothing of the terminal
+
+
+def wanted_samples(environ: Mapping[str, str]) -> int:
+    """Px rendered for each one shown; 0 for no wish.
+
+    Raises:
+        TerminalError: ``TSPLAT_SAMPLES`` is no number from 1 to 8.
+    """
+    wanted = environ.get(SAMPLES, "").strip()
+    if wanted and wanted not in map(str, range(1, SAMPLES_MAX + 1)):
+        raise TerminalError(
+            f"{SAMPLES}: expected 1 to {SAMPLES_MAX}, got {printable(repr(wanted))}"
+        )
+    return int(wanted or 0)
 
 
 def _has_iterm2(answers: bytes, said: str, environ: Mapping[str, str]) -> bool:

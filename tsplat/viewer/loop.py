@@ -18,8 +18,8 @@ from tsplat.core.errors import CameraError, PluginError, TsplatError, printable
 from tsplat.core.types import Frame
 from tsplat.plan import Rendered
 from tsplat.plugins import ask
-from tsplat.presenters.base import Presenter, Terminal, changed, pixels
-from tsplat.presenters.enlarge import enlarged
+from tsplat.presenters.base import Presenter, Terminal, changed, pixels, sampling
+from tsplat.presenters.enlarge import averaged, enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
 from tsplat.viewer.controls import DOUBLE_SECONDS, View, moves, pointed
 from tsplat.viewer.engine import Engine, Prepared
@@ -474,10 +474,11 @@ class Viewer:
         look = picture.view.look
         full = picture.presenter.size(picture.terminal)
         pixel = picture.presenter.pixel(picture.terminal)
-        camera = picture.view.camera(full, pixel).resized(*picture.size)
+        samples = 1 if picture.level else sampling(picture.presenter, picture.terminal)
+        camera = picture.view.camera(full, pixel).resized(*(n * samples for n in picture.size))
         prepared = self._engine.prepared(look)
         rendered = prepared.plan.run(prepared.scene, camera, self._engine.workspace)
-        frame = rendered.frame.over(look.background)
+        frame = averaged(rendered.frame.over(look.background), samples)
         if picture.presenter.fill is None and picture.size != full:
             frame = enlarged(frame, *full)
         elif frame.rgb is rendered.frame.rgb:
