@@ -19,7 +19,7 @@ from tsplat.core.types import Frame
 from tsplat.plan import Rendered
 from tsplat.plugins import ask
 from tsplat.presenters.base import Presenter, Terminal, changed, pixels, sampling
-from tsplat.presenters.enlarge import averaged, enlarged
+from tsplat.presenters.enlarge import averaged, cropped, enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
 from tsplat.viewer.controls import DOUBLE_SECONDS, View, moves, pointed
 from tsplat.viewer.engine import Engine, Prepared
@@ -53,6 +53,7 @@ class Picture:
     view: View
     level: int  # of Pace; 0 has all pixels
     size: tuple[int, int]  # px
+    covered: tuple[int, int]  # px of the full size that they are repeated to, the least beyond it
     shades: int | None  # of each channel; None: all
     terminal: Terminal
     presenter: Presenter
@@ -462,8 +463,8 @@ class Viewer:
         self._heard = None if fresh else self._heard
         rests = level == 0 and self._presenter.rest is not None and not self._moving
         self._asked = Picture(
-            self._view, level, self._pace.size(level), self._pace.shades(level), self._terminal,
-            self._presenter, now, heard, rests,
+            self._view, level, self._pace.size(level), self._pace.covered(level),
+            self._pace.shades(level), self._terminal, self._presenter, now, heard, rests,
         )  # fmt: skip
         self._pipeline.ask(self._asked)
 
@@ -475,12 +476,16 @@ class Viewer:
         full = picture.presenter.size(picture.terminal)
         pixel = picture.presenter.pixel(picture.terminal)
         samples = 1 if picture.level else sampling(picture.presenter, picture.terminal)
-        camera = picture.view.camera(full, pixel).resized(*(n * samples for n in picture.size))
+        repeated = picture.presenter.fill is None and picture.size != full
+        camera = picture.view.camera(full, pixel)
+        if repeated:
+            camera = replace(camera, width=picture.covered[0], height=picture.covered[1])
+        camera = camera.resized(*(n * samples for n in picture.size))
         prepared = self._engine.prepared(look)
         rendered = prepared.plan.run(prepared.scene, camera, self._engine.workspace)
         frame = averaged(rendered.frame.over(look.background), samples)
-        if picture.presenter.fill is None and picture.size != full:
-            frame = enlarged(frame, *full)
+        if repeated:
+            frame = cropped(enlarged(frame, *picture.covered), *full)
         elif frame.rgb is rendered.frame.rgb:
             frame = Frame(frame.rgb.copy(), frame.transmittance)
         kept = rendered.frame
