@@ -503,7 +503,10 @@ class Viewer:
         few = presenter.fill is not None and picture.size != presenter.size(terminal)
         encode = presenter.fill if few and presenter.fill is not None else presenter.encode
         if picture.shades is not None:
-            drawn.frame = shaded(drawn.frame, picture.shades, before.frame if before else None)
+            kept = presenter.fill is None and before and before.picture.size == picture.size
+            drawn.frame = shaded(drawn.frame, picture.shades, before.frame if kept else None)
+            registers = min(terminal.sixel_registers, picture.shades)
+            terminal = replace(terminal, sixel_registers=registers)
         try:
             if picture.rests and presenter.rest is not None:
                 same = (

@@ -22,13 +22,14 @@ from statistics import median_low
 
 LEVELS = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125)
 SHORTEST = 32  # px: none of them makes a side shorter that is not so already
-DEAR = (2, 4, 8, 16)  # where bytes are dear: one px for so many each way, with each of SHADES
+DEAR = (2, 4, 8, 16, 32)  # where bytes are dear: one px for so many each way, with each of SHADES
 DEAR_SHORTEST = 8  # px
 SHADES = {16: 0.4, 8: 0.28}  # how many of a channel: what is left of the bytes, kitty's and cells'
 SLOW = 0.1  # s a frame
 PREVIEW = 80_000  # px of the first picture, when nothing is known of link and scene
 SAMPLES = 3  # of a level: their median counts, so that one hiccup does not
 STALE_SECONDS = 5.0  # for what was measured before: another view, another load
+FAR_STALE_SECONDS = 30.0  # over a network, where to try what is too slow costs more
 FORGOTTEN = 5  # times as old
 HEADROOM = 0.8  # of a frame's time, at which a finer level is tried
 GAIN = 1.35  # a level is left for coarser ones only if it takes so much longer than the coarsest
@@ -71,6 +72,7 @@ class Pace:
         far: bool = False,
     ) -> None:
         self.period, self._clock, self._size = 1 / fps, clock, size
+        self._stale = FAR_STALE_SECONDS if far else STALE_SECONDS
         pixels = size[0] * size[1]
         fine = [s for s in LEVELS if s == 1 or min(size) * s >= SHORTEST]
         self._levels = [_Level(s, None, None, pixels * s * s) for s in fine]
@@ -134,7 +136,7 @@ class Pace:
 
     def _age(self, row: _Level) -> float:
         """How often what is known of ``row`` went stale."""
-        return (self._clock() - row.noted) / STALE_SECONDS
+        return (self._clock() - row.noted) / self._stale
 
     def _known(self, flights: bool) -> list[tuple[float, float]]:
         """(pixels, s) of the levels that something is known of, the fewest pixels first.
