@@ -54,5 +54,4 @@ def _means(values: Any, samples: int) -> Any:
 
 def cropped(frame: Frame, width: int, height: int) -> Frame:
     """The top left ``width`` x ``height`` px of ``frame``; without its depth."""
-    rgb, transmittance = frame.rgb[:height, :width], frame.transmittance[:height, :width]
-    return Frame(np.ascontiguousarray(rgb), np.ascontiguousarray(transmittance))
+    return Frame(frame.rgb[:height, :width].copy(), frame.transmittance[:height, :width].copy())

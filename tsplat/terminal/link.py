@@ -137,8 +137,10 @@ class Link:
         """Bytes written and not answered."""
         return sum(frame.written for frame in self._flying)
 
-    def wait(self, now: float) -> float:
+    def wait(self, now: float, more: int = 0) -> float:
         """Seconds until another frame may go; infinite: not before an answer.
+
+        ``more`` bytes are still to be written before it.
 
         It may when the bottleneck is about to have nothing to do. If answers fail to come, no more
         than fits into the way, and a frame, is under way.
@@ -151,7 +153,7 @@ class Link:
         frame = self.under_way / len(self._flying)
         if self.under_way > rate * (self.latency + AHEAD) + frame:
             return math.inf
-        return max(0.0, self._drained - AHEAD - now)
+        return max(0.0, max(self._drained, now) + more / rate - AHEAD - now)
 
     def room(self, now: float) -> float:
         """Bytes that may be written now, so that what follows can still be taken back."""

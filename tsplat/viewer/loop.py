@@ -7,6 +7,7 @@ rate allows (:mod:`tsplat.viewer.pace`); when it rests, all.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -80,6 +81,7 @@ class Encoded:
 
     payload: bytes
     seconds: float
+    begins: bool = False  # in a raster of its own: the next ones say only what changes in it
 
 
 @dataclass(frozen=True)
@@ -286,7 +288,7 @@ class Viewer:
             drawn, encoded = sent
             if drawn.picture.heard is not None:
                 self._latency = time.monotonic() - drawn.picture.heard
-            if drawn.picture.rests:  # tells nothing of moving ones
+            if drawn.picture.rests or encoded.begins:  # tells nothing of moving ones
                 continue
             flight = flight or Flight(len(encoded.payload), 0.0, 0.0)
             self._pace.note(
@@ -412,14 +414,20 @@ class Viewer:
         asked = self._asked
         if asked is None or not (self._pipeline.busy or self._screen.busy or self._view.going):
             return 0.0
-        return asked.begun + self._pace.interval(level)
+        head_start = self._pace.head_start(level)
+        if head_start is None:
+            return asked.begun + self._pace.interval(level)
+        if self._pipeline.busy:
+            return math.inf  # that goes first
+        free = time.monotonic() + self._screen.free_in
+        return max(asked.begun + self._pace.period, free - head_start)
 
     def _timeout(self) -> float | None:
         """Seconds until there is something to do without an event; idle costs nothing."""
         now, level = time.monotonic(), self._level()
         ends = [self._heads.until] if self._heads.notice else []
         if level is not None:
-            ends.append(self._due(level))
+            ends += [due for due in [self._due(level)] if due < math.inf]  # else an event comes
         elif self._holding and not self._covered:
             ends.append(now + FIRST_SECONDS)
         elif self._covered or self._pipeline.busy or self._screen.busy:
@@ -502,9 +510,14 @@ class Viewer:
         presenter, terminal = picture.presenter, picture.terminal
         few = presenter.fill is not None and picture.size != presenter.size(terminal)
         encode = presenter.fill if few and presenter.fill is not None else presenter.encode
+        begins = False
         if picture.shades is not None:
-            kept = presenter.fill is None and before and before.picture.size == picture.size
-            drawn.frame = shaded(drawn.frame, picture.shades, before.frame if kept else None)
+            if presenter.fill or (before and before.picture.size != picture.size):
+                kept = None
+            else:
+                kept = before.frame if before else None
+            drawn.frame = shaded(drawn.frame, picture.shades, kept)
+            begins = presenter.fill is None and kept is None
             registers = min(terminal.sixel_registers, picture.shades)
             terminal = replace(terminal, sixel_registers=registers)
         try:
@@ -522,7 +535,7 @@ class Viewer:
                 f"presenter {presenter.name!r} failed: "
                 f"{type(error).__name__}: {printable(error)}; try another with --presenter"
             ) from error
-        return Encoded(payload, time.perf_counter() - begin)
+        return Encoded(payload, time.perf_counter() - begin, begins)
 
     # --- what is shown
 

@@ -18,7 +18,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from statistics import median_low
+from statistics import median_high, median_low
 
 LEVELS = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125)
 SHORTEST = 32  # px: none of them makes a side shorter that is not so already
@@ -83,6 +83,7 @@ class Pace:
                 self._levels.append(_Level(1 / block, shades, block, worth))
         self._fine = len(fine)
         self._link: deque[tuple[int, float, float]] = deque(maxlen=LINK_SAMPLES)
+        self._made: deque[float] = deque(maxlen=LINK_SAMPLES)
         small = [n for n in range(len(fine)) if self._levels[n].pixels <= PREVIEW]
         self.level = small[0] if small and not far else self._fine - 1
 
@@ -124,6 +125,7 @@ class Pace:
         (None: the same).
         """
         stages = render, encode, flight
+        self._made.append(render + encode)
         row = self._levels[level]
         if self._age(row) > 1:
             row.loads.clear()
@@ -199,6 +201,16 @@ class Pace:
     def interval(self, level: int) -> float:
         """Seconds from one frame's begin to the next one's: no more are begun than get through."""
         return max(self.period, self.load(level))
+
+    def head_start(self, level: int) -> float | None:
+        """How long before the link is free the next frame is to be begun, in s.
+
+        None: it is not the link that frames wait for. Where it is, one begun earlier only grows old.
+        """
+        if not self._made or self._fine == len(self._levels):
+            return None
+        made = median_high(self._made)
+        return made if made < self.load(level, flights=True) else None
 
     def finer(self, level: int) -> int | None:
         """What follows ``level`` in a picture that stands still; None after the full size.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tsplat.core.types import Frame
+from tsplat.core.types import F32, Frame
 
 
 def shaded(frame: Frame, shades: int, before: Frame | None) -> Frame:
@@ -19,8 +19,9 @@ def shaded(frame: Frame, shades: int, before: Frame | None) -> Frame:
     they are there.
     """
     steps = np.float32(shades - 1)
-    rgb = np.rint(np.clip(frame.rgb, 0, 1) * steps) / steps
+    shown: F32 = np.clip(frame.rgb, 0, 1).astype(np.float32)
+    rgb: F32 = np.rint(shown * steps) / steps
     if before is not None and before.rgb.shape == frame.rgb.shape:
-        near = (np.abs(frame.rgb - before.rgb) < 1 / steps).all(-1, keepdims=True)
-        rgb = np.where(near, before.rgb, rgb)
+        near = (np.abs(shown - before.rgb) < 1 / steps).all(-1, keepdims=True)
+        rgb = np.where(near, before.rgb, rgb).astype(np.float32)
     return Frame(rgb, frame.transmittance)
