@@ -66,6 +66,7 @@ _ANSWER = re.compile(
 )
 _XTVERSION = re.compile(rb"\x1bP>\|([^\x1b]*)\x1b\\")
 _KITTY_OK = re.compile(rb"\x1b_Gi=([0-9]{1,9})[^;\x1b]*;OK\x1b\\")
+_KONSOLE_VERSION = re.compile(r"Konsole ([0-9]{1,4})\.([0-9]{1,4})")
 _KITTY_VERSION = re.compile(r"kitty\(([0-9]{1,4})\.([0-9]{1,4})")
 _MODE = re.compile(rb"\x1b\[\?(2026|2048|1016);[123]\$y")  # DECRPM: set, reset or set for good
 _KEYBOARD = re.compile(rb"\x1b\[\?[0-9]{1,5}u")
@@ -165,7 +166,7 @@ def parse_answers(
         synchronized=b"2026" in modes,
         keyboard=_KEYBOARD.search(answers) is not None,
         in_band_resize=b"2048" in modes,
-        pixel_mouse=b"1016" in modes,
+        pixel_mouse=b"1016" in modes or _has_pixel_mouse(said),
         glyphs=glyphs,
         samples=wanted_samples(environ),
         draws_blocks=draws_blocks,
@@ -200,6 +201,12 @@ def _has_placeholders(name: str) -> bool:
     if version := _KITTY_VERSION.match(name):
         return (int(version.group(1)), int(version.group(2))) >= (0, 28)
     return name.lower().startswith("ghostty")
+
+
+def _has_pixel_mouse(name: str) -> bool:
+    """Whether mode 1016 is there untold: Konsole, which answers no DECRQM, had it when measured."""
+    version = _KONSOLE_VERSION.match(name)
+    return version is not None and (int(version.group(1)), int(version.group(2))) >= (26, 8)
 
 
 def _advice(mux: str, around: bytes) -> str:
