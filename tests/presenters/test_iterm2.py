@@ -57,7 +57,7 @@ def test_a_picture_that_stays_is_exact():
 
 
 def test_where_every_picture_is_kept_there_are_few_and_small_ones():
-    """iTerm2 keeps all: 10 a second at most, of two thirds of the bytes, but a whole one at rest."""
+    """iTerm2 keeps all: 10 a second at most, of two thirds of the bytes; a whole one at rest."""
     image = photo()
     keeps = replace(ROOM, name="iTerm2 3.5.0")
     assert ITERM2.fps(keeps) == 10
