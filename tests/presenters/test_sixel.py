@@ -13,6 +13,7 @@ from pictures import frame_of, photo, psnr
 from tsplat.presenters import sixel
 from tsplat.presenters.base import Terminal
 from tsplat.presenters.dither import distinct, steady
+from tsplat.presenters.enlarge import edges
 from tsplat.presenters.sixel import SIXEL
 from tsplat.testing import decoders
 
@@ -114,6 +115,23 @@ def test_a_change_in_few_pixels_is_sent_where_they_are_shown():
     after[5] ^= 255
     data = SIXEL.fill(frame_of(after), terminal, frame_of(image))
     assert strips(data) == [(1, 60)]
+
+
+@pytest.mark.parametrize("many", [6, 60, 360, 456])
+def test_rows_begin_with_bands_and_keep_their_middles(many):
+    """From 8 px on with a band, from 4 px on with half of one; less than that where they are."""
+    for few in range(1, many + 1):
+        rows, exact = sixel._row_edges(few, many), edges(few, many)
+        assert (rows[0], rows[-1]) == (0, many)
+        middles = (2 * np.arange(few) + 1) * many // (2 * few)
+        assert (rows[:-1] <= middles).all()
+        assert (middles < rows[1:]).all()
+        if many >= 8 * few:
+            assert not (rows[:-1] % 6).any()
+        elif many >= 4 * few:
+            assert not (rows[:-1] % 3).any()
+        else:
+            np.testing.assert_array_equal(rows, exact)
 
 
 def test_runs_go_on_only_as_far_as_the_tolerance():
