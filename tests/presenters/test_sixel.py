@@ -48,7 +48,7 @@ def test_a_frame_decodes_to_its_palette_picture(width, height):
     shown = percent(SIXEL.rest(frame_of(image), ROOM))
     np.testing.assert_array_equal(shown, palette[rows])
     picture = distinct(image)
-    rows = steady(picture, sixel.levels(palette), sixel.TOLERANCE)
+    rows = steady(picture, sixel.levels(palette), sixel.NEAR[1])
     shown = percent(SIXEL.encode(frame_of(image), ROOM, None))
     np.testing.assert_array_equal(shown, palette[rows])
 

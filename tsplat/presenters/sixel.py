@@ -34,9 +34,11 @@ EMPTY = 0x3F  # "?": none of the six
 COLORS = 256  # at most, whatever the terminal has: a register is a byte
 WIDTH_MAX = 9999  # px; a run's length then has four digits at most
 # While the picture moves: colours, and by how much the error of a pixel, in squared levels, may
-# grow so that a run goes on. The demo scene at 640x360: 108 kB at 36.4 dB, remote 64 kB at 32.5.
-TOLERANCE = 100
-REMOTE_COLORS, REMOTE_TOLERANCE = 64, 200
+# grow so that a run goes on. The demo scene at 640x360: 108 kB at 36.4 dB, remote 64 kB at 32.3.
+# Where a pixel covers four or more each way, that costs more likeness than half the colours do.
+NEAR, NEAR_COARSE = (COLORS, 100), (COLORS // 2, 200)
+REMOTE, REMOTE_COARSE = (64, 200), (32, 400)
+COARSE = 4
 
 Tokens = NDArray[np.uint64]  # up to eight characters each, the first in the lowest byte, rest 0
 
@@ -93,9 +95,9 @@ def _encode(
     top, end = _strip(int(downs[changed.start]), int(downs[changed.stop]), height, terminal)
     source = np.repeat(np.arange(len(image), dtype=np.int32), np.diff(downs))[top:end]
     first = int(source[0])
-    colors, tolerance = COLORS, TOLERANCE
-    if terminal.remote:
-        colors, tolerance = REMOTE_COLORS, REMOTE_TOLERANCE
+    coarse = height >= COARSE * len(image)
+    ways = (REMOTE, REMOTE_COARSE) if terminal.remote else (NEAR, NEAR_COARSE)
+    colors, tolerance = ways[coarse]
     picture = distinct(image[first : source[-1] + 1])
     palette = percents(picture, min(colors, terminal.sixel_registers))
     rows = steady(picture, levels(palette), tolerance)
