@@ -26,12 +26,24 @@ def session():
     made.close()
 
 
-def test_a_release_is_no_press(session):
-    """J turns once: its release draws nothing, nor does a modifier."""
-    session.send(b"\x1b[106;1:1;106u")
-    session.pump(lambda: not select.select([session.master], [], [], 0.3)[0])
+def rest(session):
+    """Until nothing more is drawn."""
+    session.pump(lambda: not select.select([session.master], [], [], 0.5)[0])
+
+
+def test_a_key_moves_until_it_is_let_go(session):
+    """J is pressed once: frames come, with no repeat of it, until its release, and then none.
+
+    Modifiers are no keys.
+    """
+    rest(session)
+    session.press(b"\x1b[13;1:3u\x1b[106;1:1;106u")  # Enter, that started it: releases are told
     frames = session.frames()
-    session.press(b"\x1b[106;1:3u\x1b[57441;2u\x1b[57441;1:3u")
+    session.pump(lambda: session.frames() >= frames + 4)
+    session.press(b"\x1b[106;1:3u")
+    rest(session)
+    frames = session.frames()
+    session.press(b"\x1b[57441;2u\x1b[57441;1:3u\x1b[106;1:3u")
     session.listen(0.3)
     assert session.frames() == frames
     session.press(b"\x1b[113;;113u")
