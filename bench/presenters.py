@@ -39,7 +39,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench.libraries import libchafa, libsixel
+from libraries import libchafa, libsixel
+
 from tsplat.core.errors import TsplatError
 from tsplat.core.types import U8, Frame
 from tsplat.demo import demo_scene
