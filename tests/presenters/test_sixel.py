@@ -91,7 +91,10 @@ def strips(data):
     ],
 )
 def test_only_the_rows_that_changed_are_sent(changed, height, sent):
-    """From a cell's first row to one that ends a cell and a band; all if cells have fractions."""
+    """From a cell's first row to one that ends a cell and a band.
+
+    All if cells have fractions, and in tmux.
+    """
     terminal = Terminal(30, -(-360 // int(height)) + 3, 10, height, sixel=True)
     image = photo(200, 360)
     after = image.copy()
@@ -99,6 +102,9 @@ def test_only_the_rows_that_changed_are_sent(changed, height, sent):
     data = SIXEL.encode(frame_of(after), terminal, frame_of(image))
     assert strips(data) == sent
     before = SIXEL.encode(frame_of(image), terminal, None)
+    past_tmux = replace(terminal, multiplexer="tmux")
+    whole = SIXEL.encode(frame_of(after), past_tmux, frame_of(image))
+    assert strips(whole) == ([(1, 360)] if changed else [])
     shown = decoders.sixel(before + b"\x1b[H" + data, terminal)
     assert shown.faults == ()
     if changed:

@@ -124,9 +124,10 @@ def _strip(top: int, end: int, height: int, terminal: Terminal) -> tuple[int, in
     """Rows to send if those from ``top`` to ``end`` changed, of ``height``.
 
     They begin with a cell. They end with a cell and a band, or with the picture, so that no cell is
-    drawn in part: what a terminal makes of its rest is its own business.
+    drawn in part: what a terminal makes of its rest is its own business. tmux takes away whole
+    pictures that another one lies over.
     """
-    if not float(terminal.cell_height).is_integer():
+    if terminal.multiplexer or not float(terminal.cell_height).is_integer():
         return 0, height
     step = lcm(BAND, int(terminal.cell_height))
     return top - top % step, min(height, end + -end % step)
