@@ -124,8 +124,8 @@ def _strip(top: int, end: int, height: int, terminal: Terminal) -> tuple[int, in
     """Rows to send if those from ``top`` to ``end`` changed, of ``height``.
 
     They begin with a cell. They end with a cell and a band, or with the picture, so that no cell is
-    drawn in part: what a terminal makes of its rest is its own business. tmux takes away whole
-    pictures that another one lies over.
+    drawn in part: what a terminal makes of its rest is its own business. tmux, which draws again
+    from pictures that it keeps, gets whole ones.
     """
     if terminal.multiplexer or not float(terminal.cell_height).is_integer():
         return 0, height
