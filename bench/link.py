@@ -44,7 +44,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from network import ADDRESSES, QUEUE, NoNetwork, network
+from network import ADDRESSES, QUEUE, NoNetworkError, network
 
 ROOT = Path(__file__).resolve().parents[1]
 COLUMNS, ROWS = 100, 34
@@ -303,7 +303,9 @@ def run_terminal(presenter: str, taps: int, hold: float) -> dict[str, object]:
 # --- both, and what is said
 
 
-def transit(taken: list[list[float]], got: list[list[float]], presses: Sequence[float]) -> list[int]:
+def transit(
+    taken: list[list[float]], got: list[list[float]], presses: Sequence[float]
+) -> list[int]:
     """Bytes that the relay had taken and the terminal not got, when each key was pressed."""
 
     def at(curve: list[list[float]], when: float) -> int:
@@ -406,8 +408,11 @@ def main(words: Sequence[str] | None = None) -> int:
         for presenter in arguments.presenters.split(","):
             rows.append(measure(presenter, arguments))
             if not arguments.markdown:
-                print("  ".join(f"{h}: {c}" for h, c in zip(HEADINGS, cells(rows[-1]), strict=True)), flush=True)
-    except NoNetwork as error:
+                print(
+                    "  ".join(f"{h}: {c}" for h, c in zip(HEADINGS, cells(rows[-1]), strict=True)),
+                    flush=True,
+                )
+    except NoNetworkError as error:
         print(f"no link: {error}", file=sys.stderr)
         return 1
     if arguments.markdown:

@@ -55,8 +55,9 @@ def load_unedited(arguments: argparse.Namespace, *, exact: bool = False) -> Scen
     """:func:`load` without the edits."""
     if arguments.scene is None:
         from tsplat.demo import demo_scene
+        from tsplat.io.base import sampled
 
-        return demo_scene()
+        return sampled(demo_scene(), arguments.max_splats)
     from tsplat.io import load_scene
     from tsplat.io.progress import progress_bar
 

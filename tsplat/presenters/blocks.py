@@ -159,6 +159,7 @@ BLOCKS = Presenter(
     size=size,
     unsupported=unsupported,
     pixel=pixel,
+    samples=3,
     rank=15,
 )
 

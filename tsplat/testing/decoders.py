@@ -267,7 +267,8 @@ def iterm2(data: bytes, terminal: Terminal) -> Decoded:
     Also demanded: inline=1, or it is a download; size in bytes, or VS Code shows nothing; width and
     height in px as the file has them, so that nothing is scaled, or those of all rows but the last
     and preserveAspectRatio=0 (to Konsole 1: it has them the other way round), so that nothing is
-    left out; doNotMoveCursor=1, or Konsole scrolls.
+    left out; both in cells where nobody said how large one is; doNotMoveCursor=1, or Konsole
+    scrolls.
     """
     faults: list[str] = []
     canvas = _Canvas()
@@ -280,6 +281,12 @@ def iterm2(data: bytes, terminal: Terminal) -> Decoded:
             wanted["preserveAspectRatio"] = "1" if konsole else "0"
         wanted["width"] = f"{picture.shape[1]}px"
         wanted["height"] = f"{len(picture)}px"
+        if not terminal.cell_told:
+            wanted["width"], wanted["height"] = (
+                f"{terminal.columns}",
+                f"{max(1, terminal.rows - 1)}",
+            )
+            picture = _scaled(picture, *terminal.pixels)
         for key, value in wanted.items():
             if keys.get(key) != value:
                 faults.append(f"{key}: expected {value}, got {keys.get(key, 'nothing')}")
@@ -362,7 +369,9 @@ def sixel_percent(body: bytes, terminal: Terminal, faults: list[str]) -> NDArray
 
 
 def sixel(data: bytes, terminal: Terminal) -> Decoded:
-    """Sixel pictures painted over each other, each from the cursor's cell on; a percent is 2.55 levels.
+    """Sixel pictures painted over each other, each from the cursor's cell on.
+
+    A percent is 2.55 levels.
 
     Registers are private to a picture: some terminals keep the last picture's, some do not. A
     picture that is drawn over a part of another must end with a cell and a band, or with that

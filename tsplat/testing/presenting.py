@@ -157,6 +157,7 @@ def terminals(draw: st.DrawFn) -> Terminal:
         glyphs=draw(st.sampled_from(("halves", "quadrants", "sextants", "octants"))),
         draws_blocks=True,
         synchronized=True,
+        cell_told=draw(st.booleans()),
         remote=draw(st.booleans()),
         name=draw(st.sampled_from(("", "Konsole 26.08.2", "kitty(0.48.2)"))),
     )
@@ -560,8 +561,8 @@ def presenter_checks(
     max_examples: int = 100,
     screens: st.SearchStrategy[Terminal] | None = None,
 ) -> list[Check]:
-    """The checks of ``presenter``: four, or eight with a decoder of its bytes; one more for ``fill``
-    and one for ``rest``.
+    """The checks of ``presenter``: four, or eight with a decoder of its bytes, and one each for
+    ``fill`` and ``rest``.
 
     ``decode`` alone promises the frame's 8-bit picture exactly; :class:`Decoding` states another
     bound. The built-in presenters' are :data:`DECODINGS`, and whoever uses such a protocol may take
