@@ -628,7 +628,9 @@ class Viewer:
             return status_line([notice] if notice else [], terminal)
         heads.told = verifier.text if verifier else ""
         recording = "recording" if self._recording is not None else ""
-        words = [notice, recording, heads.told, *(status(heads.shown) if heads.shown else ())]
+        panel = self._layout.panel is not None
+        parts = status(heads.shown, panel) if heads.shown else ()
+        words = [notice, recording, heads.told, *parts]
         return status_line(words, terminal, alarm=verifier is not None and verifier.broken > 0)
 
     def _panel_text(self, area: Area | None) -> bytes:
