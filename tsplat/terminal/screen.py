@@ -433,7 +433,7 @@ class Screen:
     @property
     def busy(self) -> bool:
         """Whether a tracked frame sent now would only queue up behind those on their way."""
-        return bool(self._rest) or self._free_in > 0
+        return bool(self._rest) or self.free_in > 0
 
     @property
     def far(self) -> bool:
@@ -446,12 +446,13 @@ class Screen:
         return self._unanswered > 0
 
     @property
-    def _free_in(self) -> float:
-        """Seconds until those on their way do not matter any more, at most."""
+    def free_in(self) -> float:
+        """Seconds until another tracked frame may go, as far as is known; infinite at worst."""
         if not self._unanswered:
             return 0.0
         now = time.monotonic()
-        return max(0.0, min(self._sent + self._limit - now, self.link.wait(now)))
+        wait = self.link.wait(now, sum(map(len, self._rest)))
+        return max(0.0, min(self._sent + self._limit - now, wait))
 
     @property
     def _limit(self) -> float:
@@ -484,7 +485,7 @@ class Screen:
         if self._unanswered:
             ends.append(self._sent + self._limit)
             if self._to_tell and not self._rest:
-                ends.append(time.monotonic() + self._free_in)
+                ends.append(time.monotonic() + self.free_in)
         if self._decoder.pending:
             ends.append(self._heard + ESCAPE_SECONDS)
         held_back = bool(self._rest) and time.monotonic() < self._held_until
