@@ -153,6 +153,46 @@ def test_a_backend_that_does_not_load_is_passed_over(monkeypatch):
     assert got.plan is engine.prepared_last.plan
 
 
+def failing(error):
+    """Makes plans whose projection raises."""
+
+    def project(*arguments):
+        raise error
+
+    def plan(scene, **words):
+        made = make_plan(scene, **{**words, "backend": "numpy"})
+        return replace(made, stages=replace(made.stages, project=project), fused=None)
+
+    return plan
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("by \x1b zero"), MemoryError(),
+                                   PluginError("lost")])  # fmt: skip
+def test_a_backend_that_fails_while_it_draws_is_passed_over(monkeypatch, error):
+    """The last look that was drawn is drawn on, and why is told; it is not tried for each frame."""
+    engine, camera = made(), lens()
+    right = engine.run(NUMPY, camera)[1].frame.rgb.copy()
+    monkeypatch.setattr(module, "make_plan", failing(error))
+    bad = replace(NUMPY, backend="x", threads=2)
+    for _ in range(2):
+        prepared, rendered = engine.run(bad, camera)
+        np.testing.assert_array_equal(rendered.frame.rgb, right)
+        assert prepared.trouble.startswith("numpy failed: ")
+        assert prepared.trouble.isprintable()
+        assert prepared.look == NUMPY
+    monkeypatch.setattr(module, "make_plan", make_plan)
+    prepared, _ = engine.run(replace(NUMPY, threads=3), camera)
+    assert prepared.trouble == ""
+    assert prepared.plan.threads == 3
+
+
+def test_the_first_picture_that_fails_is_an_error():
+    """There is nothing to fall back on; nor where what drew all the time fails."""
+    plan = failing(ZeroDivisionError("by zero"))(SCENE)
+    with pytest.raises(ZeroDivisionError):
+        Engine(SCENE, plan, NUMPY).run(NUMPY, lens())
+
+
 # --- what is under the cursor
 
 

@@ -19,7 +19,7 @@ from PIL import Image
 from tests.conftest import ROOT
 from tests.io.plywriter import names_inria
 from tests.viewer.grid import Grid
-from tests.viewer.session import CELL, ROWS, Session
+from tests.viewer.session import COLOR, ROWS, Session
 from tsplat.core.camera import look_at
 from tsplat.io.cameras import camera_to_json
 from tsplat.paths import load_path
@@ -140,7 +140,7 @@ def test_arrows_change_a_setting_and_the_picture(sessions):
     before = len(session.output)
     session.send(RIGHT)
     session.rest()
-    assert CELL in session.output[before:]
+    assert COLOR in session.output[before:]
     assert "< 55 degrees >" in seen(session).text(3)
     session.send(b"\x7f")
     session.rest()
@@ -452,7 +452,7 @@ def test_a_backend_that_fails_to_load_is_told_and_the_picture_stays(sessions, tm
     before = len(session.output)
     session.send(b"j")
     session.rest()
-    assert CELL in session.output[before:]
+    assert COLOR in session.output[before:]
     session.press(b"g")
     session.wait_for(b"backend cffi", before)
     session.send(b"j")
