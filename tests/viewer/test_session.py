@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import shlex
+import shutil
 import signal
 import struct
 import subprocess
@@ -20,6 +21,7 @@ from tests.conftest import ROOT
 from tests.io.plywriter import names_inria
 from tests.viewer.grid import Grid
 from tests.viewer.session import COLOR, ROWS, Session
+from tsplat.commands.view import _quoted
 from tsplat.core.camera import look_at
 from tsplat.io.cameras import camera_to_json
 from tsplat.paths import load_path
@@ -320,6 +322,19 @@ def test_the_printed_command_makes_the_picture_again(sessions, folder, words, ke
     assert np.abs(kept - again).max() <= 1
     assert (kept != again).mean() < 1e-3
     assert shlex.quote(NAME) in command
+
+
+def test_a_hostile_name_is_harmless_in_the_command():
+    """No control character reaches the screen, and bash reads the name as it is."""
+    bash = shutil.which("bash")
+    if bash is None:
+        pytest.skip("$'...' is bash's; dash does not have it yet")
+    for name in ("a b'c", "x\x1b[2Jy\n$(id)`id`", "\x9b日本 \\'\"", "-rf"):
+        quoted = _quoted(name)
+        assert quoted.isprintable()
+        made = subprocess.run([bash, "-c", f"printf %s {'-- ' * (name[0] == '-')}{quoted}"],
+                              capture_output=True, check=True)  # fmt: skip
+        assert made.stdout.decode() == name
 
 
 def test_a_files_camera_makes_the_same_bits(sessions, folder):
