@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, settings
 
 from tsplat.core.camera import Camera, intrinsics
 from tsplat.core.types import Scene
+from tsplat.core.workspace import default_threads
 
 settings.register_profile(
     "tsplat", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
@@ -55,6 +56,12 @@ def hear_signals():
     """For a child before exec: signals that nohup or a background shell ignored are heard again."""
     for signum in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
         signal.signal(signum, signal.SIG_DFL)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config):
+    """The suite is shared out among processes, up to four; a file or a test alone is not."""
+    return min(4, default_threads()) if config.args == ["tests"] else 0
 
 
 @pytest.fixture(scope="session")

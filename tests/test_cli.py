@@ -168,6 +168,14 @@ def test_max_splats_keeps_an_even_sample(ply, tmp_path):
     assert sum(facts["dropped"].values()) == 200
 
 
+def test_max_splats_holds_for_the_demo_too(tmp_path):
+    """The scene without a file is sampled as one from a file is."""
+    words = ("render", "-o", tmp_path / "x.png", "--size", "8x8", "--json", "--max-splats", 100)
+    facts = json.loads(tsplat(*words).stdout)
+    assert facts["gaussians"] == 100
+    assert list(facts["dropped"]) == ["beyond max_splats"]
+
+
 def test_info_describes_the_file(ply):
     """Count, degree, bounds and plan, as JSON and as text."""
     facts = json.loads(tsplat("info", ply, "--json").stdout)

@@ -22,15 +22,19 @@ SCENES = (
     "usd3dgs/fixtures-ply/reordered-properties.ply",
 )
 
+FEW = 30_000  # numpy takes 20 s for the largest
+
 
 @pytest.mark.parametrize("path", SCENES)
 def test_every_backend_keeps_the_contract(data, path):
-    """All checks hold for all three backends at 192x120."""
+    """All checks hold at 192x120: for numba and cffi on all of it, for numpy on 30,000 at most."""
     scene = tsplat.load_scene(data / path)
+    few = scene if len(scene) <= FEW else tsplat.load_scene(data / path, max_splats=FEW)
     case = Case(scene, tsplat.frame_scene(scene, 192, 120))
+    small = case if few is scene else Case(few, tsplat.frame_scene(few, 192, 120))
     assert case.composited[0].transmittance.min() < 0.9  # there is something to see
-    for name in ("numpy", "numba", "cffi"):
-        for verdict in check_stages(load_backend(plugins().backends[name]), case):
+    for name, held in (("numpy", small), ("numba", case), ("cffi", case)):
+        for verdict in check_stages(load_backend(plugins().backends[name]), held):
             assert verdict.passed, (name, verdict)
 
 

@@ -21,7 +21,7 @@ from tsplat.core.errors import TsplatError, printable
 
 COMMANDS = ("view", "cat", "render", "info", "plugins", "check", "bench")
 SHELLS = ("bash", "zsh", "tcsh")
-VECTORS = ("--eye", "--target", "--up", "--background")
+VECTORS = ("--eye", "--target", "--up", "--background", "--crop")
 
 DESCRIPTION = """\
 3D Gaussian Splatting scenes in a terminal, on a CPU.
@@ -169,6 +169,31 @@ def _positive(text: str) -> float:
     return value
 
 
+def _share(text: str) -> float:
+    value = _factor(text)
+    if value > 1:
+        raise argparse.ArgumentTypeError(f"expected 0 to 1, got {text!r}")
+    return value
+
+
+def _factor(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 10:
+        raise argparse.ArgumentTypeError(f"expected a number from 0 to 10, got {text!r}")
+    return value
+
+
+def _box(text: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    corners = text.split(",")
+    low, high = _vector(",".join(corners[:3])), _vector(",".join(corners[3:]))
+    if any(a > b for a, b in zip(low, high, strict=True)):
+        raise argparse.ArgumentTypeError(f"expected the lower corner first, got {text!r}")
+    return low, high
+
+
 def _bits(text: str) -> float:
     """Bits/s from a number with k, M or G behind it."""
     match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,9})?)([kMG]?)", text)
@@ -263,6 +288,24 @@ def _add_pose(parser: argparse.ArgumentParser) -> None:
     pose.add_argument("--far", type=_positive, metavar="Z", help="nothing farther is drawn")
 
 
+def _add_edits(parser: argparse.ArgumentParser) -> None:
+    edits = parser.add_argument_group("edits", "the scene is drawn as if its file had been so")
+    edits.add_argument(
+        "--splat-scale", type=_positive, default=1.0, metavar="F", help="times as large splats (1)"
+    )
+    edits.add_argument(
+        "--opacity-min", type=_share, default=0.0, metavar="O",
+        help="leave out Gaussians of less opacity, 0 to 1 (0)",
+    )  # fmt: skip
+    edits.add_argument(
+        "--saturation", type=_factor, default=1.0, metavar="F", help="of all colours; 0 is grey (1)"
+    )
+    edits.add_argument(
+        "--crop", type=_box, metavar="X0,Y0,Z0,X1,Y1,Z1",
+        help="leave out Gaussians whose mean is outside this box of the world",
+    )  # fmt: skip
+
+
 def _add_presenter(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--presenter", metavar="P",
@@ -304,8 +347,14 @@ def make_parser() -> argparse.ArgumentParser:
 
     view = add("view", "look at a scene in this terminal", VIEW_EXAMPLES)
     _add_scene(view)
+    _add_pose(view)
+    view.add_argument(
+        "--cameras", metavar="FILE",
+        help="cameras for N to go through (cameras.json beside the scene or above it)",
+    )  # fmt: skip
     _add_engine(view)
     _add_quality(view)
+    _add_edits(view)
     _add_presenter(view)
     _add_background(view)
     view.add_argument("--play", metavar="FILE", help="go along a path of cameras; any key stops it")
@@ -331,6 +380,7 @@ def make_parser() -> argparse.ArgumentParser:
     _add_pose(cat)
     _add_engine(cat)
     _add_quality(cat)
+    _add_edits(cat)
     _add_background(cat)
 
     render = add("render", "make a picture of a scene", RENDER_EXAMPLES)
@@ -361,6 +411,7 @@ def make_parser() -> argparse.ArgumentParser:
     film.add_argument("--presenter", metavar="P", help="what draws in a .cast (halfblock)")
     _add_engine(render)
     _add_quality(render)
+    _add_edits(render)
     render.add_argument(
         "--background", type=_color, default=(0.0, 0.0, 0.0), metavar="R,G,B|none",
         help="0..1 each, or none for transparent (0,0,0)",

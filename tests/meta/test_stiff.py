@@ -165,7 +165,7 @@ CAUGHT: dict[str, tuple[Stages, list[str]]] = {
         ["beyond float32", "focal length of 1e200 px"],
     ),
     "no low-pass filter": (
-        patched("project", EPS2D=1e-6),
+        projecting(lambda s, c, p: (s, c, replace(p, low_pass=0.01))),
         ["discs from the side", "scales from 1e-12 to 1e6", "logits at the ends of float32"],
     ),
     "slopes not held": (patched("project", CLAMP_MARGIN=1e9), [NEAR, "camera within giants"]),

@@ -6,7 +6,7 @@ import threading
 import time
 
 import pytest
-from fakes import FakeTerminal
+from fakes import DA1, TELLS, FakeTerminal, left_on
 
 from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
@@ -14,7 +14,9 @@ from tsplat.terminal import Event, Screen, screen
 
 ENVIRON = {"TERM": "xterm"}
 # The last is a question: its answer is the last thing to come
-UNDO = b"\x1b[?2026l\x1b\\CLEANUP\x1b[?1006l\x1b[?1002l\x1b[m\x1b[?25h\x1b[?1049l\x1b[c"
+MODES_OFF = b"\x1b[<u\x1b[?1016l\x1b[?1006l\x1b[?1002l\x1b[?1004l\x1b[?2048l"
+MODES_ON = b"\x1b[?2048h\x1b[?1004h\x1b[?1002h\x1b[?1006h\x1b[?1016h\x1b[>31u"
+UNDO = b"\x1b[?2026l\x1b\\CLEANUP" + MODES_OFF + b"\x1b[m\x1b[?25h\x1b[?1049l\x1b[c"
 
 SESSION = """
 import sys, time
@@ -35,6 +37,19 @@ def check_restored(terminal):
     terminal.settle()
     assert terminal.mode() == terminal.saved
     assert terminal.output.endswith(UNDO)
+    assert left_on(terminal.output) == set()
+
+
+def test_what_is_left_on_is_seen():
+    """The check above catches what is not undone, undone on the other screen, or on twice."""
+    enter, leave, push, pop = b"\x1b[?1049h", b"\x1b[?1049l", b"\x1b[>31u", b"\x1b[<u"
+    assert left_on(enter + push + pop + leave) == set()
+    assert left_on(enter + push + leave) == {"keys 31 (alternate)"}
+    assert left_on(enter + push + leave + pop) == {"keys 31 (alternate)"}
+    assert left_on(push + enter + pop + leave) == {"keys 31"}
+    assert left_on(enter + push + push + pop + leave) == {"keys 31 (alternate)"}
+    assert left_on(b"\x1b[?1002h\x1b[?1016h\x1b[?1002l") == {"1016"}
+    assert left_on(enter) == {"alternate"}
 
 
 @pytest.mark.parametrize(
@@ -42,12 +57,12 @@ def check_restored(terminal):
 )
 def test_restored_at_the_end(body, code):
     """On a normal end, an exception and sys.exit."""
-    with FakeTerminal() as terminal:
+    with FakeTerminal(extra=TELLS) as terminal:
         process = terminal.spawn(SESSION.format(body=body))
         errors = process.communicate(timeout=20)[1]
         assert process.returncode == code, errors
         assert terminal.output.startswith(b"\x1b[?1049h")
-        assert b"\x1b[?25l\x1b[?1002h\x1b[?1006h" in terminal.output
+        assert b"\x1b[?25l" + MODES_ON in terminal.output
         check_restored(terminal)
 
 
@@ -55,7 +70,7 @@ def test_restored_at_the_end(body, code):
 @pytest.mark.parametrize("body", ["screen.read_events(None)", "time.sleep(0.3); screen.clear()"])
 def test_restored_on_deadly_signals(signum, body):
     """Waiting or working, the process unwinds, restores, and exits with 128 + signal."""
-    with FakeTerminal() as terminal:
+    with FakeTerminal(extra=TELLS) as terminal:
         process = terminal.spawn(SESSION.format(body=body))
         terminal.wait_for(b"READY")
         process.send_signal(signum)
@@ -67,7 +82,7 @@ def test_restored_on_deadly_signals(signum, body):
 
 def test_a_second_signal_interrupts_work():
     """The first is noted while the program computes, the second ends it there."""
-    with FakeTerminal() as terminal:
+    with FakeTerminal(extra=TELLS) as terminal:
         process = terminal.spawn(SESSION.format(body="while True: time.sleep(0.01)"))
         terminal.wait_for(b"READY")
         process.send_signal(signal.SIGTERM)
@@ -95,7 +110,7 @@ def test_a_stuck_terminal_does_not_hold_us():
 
 def test_restored_at_interpreter_exit():
     """Even when the ``with`` block is never left."""
-    with FakeTerminal() as terminal:
+    with FakeTerminal(extra=TELLS) as terminal:
         code = "from tsplat.terminal import Screen; s = Screen().__enter__(); s.cleanup=b'CLEANUP'"
         process = terminal.spawn(code)
         assert process.communicate(timeout=20)[1] == ""
@@ -104,7 +119,7 @@ def test_restored_at_interpreter_exit():
 
 def test_hang_up():
     """When the terminal goes away, so does the program, without a traceback."""
-    with FakeTerminal() as terminal:
+    with FakeTerminal(extra=TELLS) as terminal:
         process = terminal.spawn(SESSION.format(body="while True: screen.read_events(None)"))
         terminal.wait_for(b"READY")
         terminal.hang_up()
@@ -148,7 +163,7 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(job, 0)[1]))
 )
 def test_suspend_gives_the_terminal_back_and_takes_it_again(body):
     """The shell gets a restored screen; continued, all is ours again and to be redrawn."""
-    with FakeTerminal() as terminal:
+    with FakeTerminal(extra=TELLS) as terminal:
         process = terminal.spawn(SHELL.format(body=body))
         terminal.wait_for(b"STOPPED")
         assert terminal.output.endswith(UNDO + b"STOPPED")
@@ -158,8 +173,125 @@ def test_suspend_gives_the_terminal_back_and_takes_it_again(body):
         assert process.returncode == 7, errors
         after = terminal.output.split(b"STOPPED")[1]
         assert b"\x1b[?1049h" in after
-        assert after.index(b"\x1b[?1002h") < after.index(b"AGAIN")
+        assert after.index(MODES_ON) < after.index(b"AGAIN")
+        assert left_on(terminal.output.split(b"STOPPED")[0]) == set()
         check_restored(terminal)
+
+
+def test_no_mode_is_on_twice_after_a_stop():
+    """Nobody can catch SIGSTOP: continued, modes that may be on are not pushed onto themselves."""
+    body = "while 'resize' not in [e.kind for e in screen.read_events(None)]: pass"
+    with FakeTerminal(extra=TELLS) as terminal:
+        process = terminal.spawn(SESSION.format(body=body))
+        terminal.wait_for(b"READY")
+        process.send_signal(signal.SIGSTOP)
+        process.send_signal(signal.SIGCONT)
+        errors = process.communicate(timeout=20)[1]
+        assert process.returncode == 0, errors
+        assert terminal.output.count(MODES_ON) == 2
+        check_restored(terminal)
+
+
+def test_modes_are_set_only_where_they_were_confirmed():
+    """A terminal that answers nothing of them gets the mouse in cells, and focus; none as asked."""
+    with FakeTerminal() as terminal:
+        with session(terminal):
+            pass
+        terminal.settle()
+        sent = terminal.output
+        assert b"\x1b[?25l\x1b[?1004h\x1b[?1002h\x1b[?1006h\x1b[m" in sent
+        for word in (b"u", b"?1016h", b"?2048h"):
+            assert b"\x1b[" + word not in sent
+        assert b"\x1b[>31u" not in sent
+    with FakeTerminal(extra=TELLS) as terminal:
+        with session(terminal, mouse=False):
+            terminal.settle()
+            assert left_on(terminal.output) == {"alternate"}
+        terminal.settle()
+        assert left_on(terminal.output) == set()
+
+
+def test_modes_are_set_when_answers_come_late():
+    """With the event "terminal", not amid a frame; and undone as ever."""
+    with FakeTerminal(delay=0.4, extra=TELLS) as terminal:
+        with session(terminal, timeout=0.05) as open_screen:
+            open_screen.cleanup = b"CLEANUP"
+            terminal.settle()
+            assert left_on(terminal.output) == {"alternate", "1002", "1006", "1004"}
+            assert open_screen.read_events(3) == [Event("terminal")]
+            terminal.wait_for(MODES_ON)
+            terminal.type(b"\x1b[A\x1b[1;1:3A")
+            press, release = read(open_screen, 2)
+            assert (press.code, release.code, release.action) == ("up", "up", "release")
+        check_restored(terminal)
+
+
+def test_late_modes_wait_for_a_frame_to_be_written():
+    """A frame that the tty has taken half of is not broken by them, and nobody waits for it."""
+    with FakeTerminal(delay=None) as terminal:
+        with session(terminal, timeout=0.05) as open_screen:
+            terminal.settle()
+            terminal.reading.clear()
+            open_screen.draw(b"PICTURE" + b"x" * 100_000 + b"END", track=False)
+            assert open_screen.busy
+            terminal.type(TELLS + DA1)
+            late = threading.Timer(1.0, terminal.reading.set)
+            late.start()
+            assert open_screen.read_events(3) == [Event("terminal")]
+            assert not terminal.reading.is_set()
+            late.join()
+            while open_screen.busy:
+                open_screen.read_events(0.1)
+            terminal.wait_for(MODES_ON)
+        frame = terminal.output[terminal.output.index(b"PICTURE") :]
+        assert frame.index(b"END\x1b[?2026l") < frame.index(MODES_ON)
+
+
+def read(open_screen, count, seconds=2):
+    """So many events, or as many as come in that time."""
+    events, end = [], time.monotonic() + seconds
+    while len(events) < count and time.monotonic() < end:
+        events += open_screen.read_events(0.1)
+    return events
+
+
+def test_the_mouse_is_told_in_pixels_of_a_cell():
+    """Pixels become cells with fractions where mode 1016 is on; they are cells where it is not."""
+    report = b"\x1b[<32;125;31M"
+    with FakeTerminal(extra=TELLS) as terminal, session(terminal) as open_screen:
+        terminal.type(report)
+        (event,) = read(open_screen, 1)
+        assert (event.x, event.y) == (pytest.approx(12.4), pytest.approx(1.5))  # cells of 10x20 px
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        terminal.type(report)
+        (event,) = read(open_screen, 1)
+        assert (event.x, event.y) == (124, 30)
+
+
+def test_a_size_told_by_the_terminal():
+    """It is a resize if it is news, whichever of it and SIGWINCH comes first."""
+    with FakeTerminal(extra=TELLS) as terminal, session(terminal) as open_screen:
+        terminal.type(b"\x1b[48;24;80;480;800t")  # as soon as the mode is set
+        assert read(open_screen, 1, 0.2) == []
+        terminal.type(b"\x1b[48;50;132;1000;1320t")
+        assert [event.kind for event in read(open_screen, 1)] == ["resize"]
+        facts = open_screen.terminal
+        assert (facts.rows, facts.columns, facts.cell_width) == (50, 132, 10)
+        terminal.resize(50, 132, 1320, 1000)
+        signal.raise_signal(signal.SIGWINCH)
+        assert open_screen.read_events(0.1) == []
+        terminal.resize(24, 80, 800, 480)
+        signal.raise_signal(signal.SIGWINCH)
+        assert open_screen.read_events(2) == [Event("resize")]
+        terminal.type(b"\x1b[48;24;80;480;800t")
+        assert read(open_screen, 1, 0.2) == []
+
+
+def test_focus_is_told():
+    """Gained and lost."""
+    with FakeTerminal(extra=TELLS) as terminal, session(terminal) as open_screen:
+        terminal.type(b"\x1b[O\x1b[I")
+        assert read(open_screen, 2) == [Event("focus", action="out"), Event("focus", action="in")]
 
 
 def test_a_frame_is_one_synchronized_update():

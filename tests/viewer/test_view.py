@@ -121,8 +121,9 @@ def test_the_status_line_names_shortcuts(words):
     """With --quality or --set the picture is another, and the screen says so; else it does not."""
     session = Session("--presenter", "halfblock", "--max-splats", "300", *words)
     session.pump(lambda: session.frames() >= 1 and b" ms cffi" in session.output)
-    line = session.output.split(b" ms cffi x")[1][1:12]
+    line = session.output.split(b"demo")[1][:40]
     session.press(b"q")
     session.end(0)
     session.close()
-    assert line.split()[0] == (words[1].encode() if words else b"halfblock")
+    first = line.split()[0]
+    assert first == words[1].encode() if words else first.replace(b",", b"").isdigit()

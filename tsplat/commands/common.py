@@ -21,6 +21,7 @@ from tsplat.core.params import PRESETS, RenderParams, parse_settings, settings_t
 from tsplat.core.types import Scene
 
 if TYPE_CHECKING:
+    from tsplat.edits import Edits
     from tsplat.plan import Plan
     from tsplat.quality.calibrate import Calibration
 
@@ -30,12 +31,33 @@ DEFAULT_SIZE = 1280, 720
 def load(arguments: argparse.Namespace, *, exact: bool = False) -> Scene:
     """The scene named on the command line, or the demo scene; a progress bar if it takes long.
 
-    ``exact`` keeps colours in float32, as ``--sh-float32`` does.
+    ``exact`` keeps colours in float32, as ``--sh-float32`` does. Edits are made to it.
     """
+    from tsplat.edits import edited
+
+    return edited(load_unedited(arguments, exact=exact), edits(arguments))
+
+
+def edits(arguments: argparse.Namespace) -> Edits:
+    """The edits that the command line names."""
+    from tsplat.edits import Box, Edits
+
+    crop = getattr(arguments, "crop", None)
+    return Edits(
+        splat_scale=getattr(arguments, "splat_scale", 1.0),
+        opacity_min=getattr(arguments, "opacity_min", 0.0),
+        saturation=getattr(arguments, "saturation", 1.0),
+        crop=Box(*crop) if crop else None,
+    )
+
+
+def load_unedited(arguments: argparse.Namespace, *, exact: bool = False) -> Scene:
+    """:func:`load` without the edits."""
     if arguments.scene is None:
         from tsplat.demo import demo_scene
+        from tsplat.io.base import sampled
 
-        return demo_scene()
+        return sampled(demo_scene(), arguments.max_splats)
     from tsplat.io import load_scene
     from tsplat.io.progress import progress_bar
 

@@ -7,20 +7,39 @@ import contextlib
 import os
 import shlex
 from collections.abc import Iterable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tsplat.commands.common import calibrated, load, params, say, terminal_environ
+import numpy as np
+
+from tsplat.commands.common import (
+    calibrated,
+    edits,
+    load_unedited,
+    params,
+    pose,
+    say,
+    terminal_environ,
+)
 from tsplat.core.camera import Camera
-from tsplat.core.errors import ParamsError, TerminalError
+from tsplat.core.errors import CameraError, ParamsError, TerminalError
+from tsplat.core.params import PRESETS, RenderParams, settings_text
+from tsplat.core.types import Scene
+from tsplat.edits import NOTHING, edited
+from tsplat.io.cameras import load_cameras
 from tsplat.paths import load_path
-from tsplat.plan import make_plan
-from tsplat.plugins import plugins
+from tsplat.plan import make_plan, why_not
+from tsplat.plugins import Registry, plugins
 from tsplat.terminal import Screen
-from tsplat.viewer.controls import View
-from tsplat.viewer.loop import Drawn, Encoded, Picture, Viewer
+from tsplat.viewer.controls import View, orbit_of
+from tsplat.viewer.engine import Engine
+from tsplat.viewer.keep import Keeper
+from tsplat.viewer.look import Look
+from tsplat.viewer.loop import Around, Drawn, Encoded, Picture, Viewer
 from tsplat.viewer.pipeline import Pipeline
-from tsplat.views import FOV, frame_orbit, frame_scene
+from tsplat.views import FOV, UP, frame_orbit, frame_scene
 
 if TYPE_CHECKING:
     from tsplat.viewer.verify import Verifier
@@ -51,8 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
         registry.find("presenter", wanted_presenter)
     environ = terminal_environ(arguments.terminal)
     path = load_path(arguments.play) if arguments.play else None
-    background = arguments.background or (0.0, 0.0, 0.0)
-    scene = load(arguments)
+    unedited, changes = load_unedited(arguments), edits(arguments)
+    scene = edited(unedited, changes)
     verifier: Verifier | None = None
     with contextlib.ExitStack() as stack:
         if arguments.verify:
@@ -69,19 +88,77 @@ def run(arguments: argparse.Namespace) -> int:
             log = BreachLog(lambda camera, pose: check_command(arguments, names, camera, pose))
             verifier = Verifier(worker, log)
             stack.callback(_report, verifier)
+        look = Look(
+            params=wanted, edits=changes, background=arguments.background or (0.0, 0.0, 0.0),
+            backend=arguments.backend, threads=arguments.threads, presenter=wanted_presenter,
+            fps=arguments.fps, max_rate=arguments.max_rate,
+        )  # fmt: skip
+        keeper = Keeper(partial(render_command, arguments))
+        stack.callback(_report_kept, keeper)
         # Before the screen: its threads are waited for when the terminal is given back already
         pipeline: Pipeline[Picture, Drawn, Encoded] = stack.enter_context(Pipeline())
         screen = stack.enter_context(Screen(environ=environ))
-        screen.max_rate = arguments.max_rate / 8 if arguments.max_rate else None
-        orbit = frame_orbit(scene, *screen.terminal.pixels, FOV)
-        view = View(orbit, orbit, FOV)
+        view = first_view(arguments, scene, screen.terminal.pixels, look)
         if path is not None:
             view = view.playing(path)
-        Viewer(
-            screen, scene, plan, view, registry.presenters, wanted_presenter, background,
-            verifier, pipeline=pipeline, fps=arguments.fps,
-        ).run()  # fmt: skip
+        around = Around(
+            registry.presenters, usable_backends(registry, scene, wanted), keeper,
+            partial(scene_cameras, arguments), verifier,
+        )  # fmt: skip
+        Viewer(screen, Engine(unedited, plan, look), view, around, pipeline=pipeline).run()
     return 1 if verifier is not None and verifier.broken else 0
+
+
+def first_view(
+    arguments: argparse.Namespace, scene: Scene, pixels: tuple[int, int], look: Look
+) -> View:
+    """Where one begins: where the options say, or where the whole scene is in the picture."""
+    up, fov = arguments.up or UP, arguments.fov or FOV
+    home = frame_orbit(scene, *pixels, fov, up)
+    view = View(home, home, fov, look)
+    if arguments.camera is None and arguments.eye is None and arguments.target is None:
+        return view
+    arguments.size = pixels if arguments.camera is None else None
+    camera = pose(arguments, scene)
+    if arguments.camera is not None:
+        return view.at(camera)
+    orbit = orbit_of(camera, home)
+    if arguments.target is not None or arguments.eye is not None:
+        target = np.asarray(arguments.target or home.target, np.float64)
+        distance = float((target - camera.centre) @ camera.rotation[2])
+        orbit = replace(orbit, target=target, distance=distance)
+    return replace(view, orbit=orbit, home=orbit)
+
+
+def scene_cameras(arguments: argparse.Namespace) -> list[Camera]:
+    """Those of ``--cameras``, or of the cameras.json that belongs to the scene.
+
+    INRIA's trainer leaves one two folders above the scene's.
+
+    Raises:
+        CameraError: there is none, or it cannot be read.
+    """
+    if arguments.cameras is not None:
+        return load_cameras(arguments.cameras)
+    if arguments.scene is not None:
+        folder = Path(arguments.scene).absolute().parent
+        for place in (folder, *folder.parents[:2]):
+            if (place / "cameras.json").is_file():
+                return load_cameras(place / "cameras.json")
+    raise CameraError("no cameras.json beside the scene or above it; --cameras names one")
+
+
+def usable_backends(registry: Registry, scene: Scene, wanted: RenderParams) -> list[str]:
+    """Names of the backends that can draw ``scene`` here, the fastest first."""
+    ranked = sorted(registry.backends.values(), key=lambda row: -row.rank)
+    return [row.name for row in ranked if why_not(row, scene, wanted) is None]
+
+
+def _report_kept(keeper: Keeper) -> None:
+    """What was kept, and how to make it again."""
+    keeper.wait()
+    for line in keeper.said:
+        say(line)
 
 
 def _report(verifier: Verifier) -> None:
@@ -90,6 +167,55 @@ def _report(verifier: Verifier) -> None:
         say(line)
     if verifier.failure:
         say(f"frames were not verified to the end: {verifier.failure}")
+
+
+def scene_words(arguments: argparse.Namespace, look: Look) -> list[str]:
+    """The options that say which scene it is and how it is drawn."""
+    words = [str(arguments.scene)] if arguments.scene is not None else []
+    if arguments.max_splats is not None:
+        words += ["--max-splats", str(arguments.max_splats)]
+    if arguments.raw_opacity or look.edits.raw_opacity:
+        words.append("--raw-opacity")
+    if arguments.sh_float32:
+        words.append("--sh-float32")
+    if look.params.antialias:
+        words.append("--antialias")
+    settings = settings_text(look.params)
+    if settings in PRESETS:
+        words += ["--quality", settings] if settings != "contract" else []
+    else:
+        words += ["--set", settings]
+    changes = look.edits
+    for name in ("splat_scale", "opacity_min", "saturation"):
+        if (value := getattr(changes, name)) != getattr(NOTHING, name):
+            words += [f"--{name.replace('_', '-')}", repr(value)]
+    if changes.crop is not None:
+        words.append("--crop=" + _numbers((*changes.crop.low, *changes.crop.high)))
+    return words
+
+
+def render_command(
+    arguments: argparse.Namespace, view: View, camera: Camera, picture: str, pose: str | None
+) -> str:
+    """The shell command that makes ``camera``'s picture again; ``pose`` is its file, if any."""
+    words = ["tsplat", "render", *scene_words(arguments, view.look), "-o", picture]
+    words += ["--size", f"{camera.width}x{camera.height}"]
+    if pose is not None:
+        words += ["--camera", f"{pose}#0" if "#" in pose else pose]
+    else:
+        for name, vector in (
+            ("eye", camera.centre), ("target", view.orbit.target), ("up", view.orbit.up),
+        ):  # fmt: skip
+            words.append(f"--{name}=" + _numbers(vector))
+        words += ["--fov", repr(float(view.fov)), "--near", repr(float(camera.near))]
+        words += ["--far", repr(float(camera.far))]
+    if any(view.look.background):
+        words.append("--background=" + _numbers(view.look.background))
+    return shlex.join(words)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return ",".join(repr(float(value)) for value in values)
 
 
 def check_command(

@@ -12,11 +12,14 @@ from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
 
-from tsplat.core.constants import ALPHA_THRESHOLD, SH_DEGREE_MAX, TRANSMITTANCE_MIN
+from tsplat.core.constants import ALPHA_THRESHOLD, EPS2D, SH_DEGREE_MAX, TRANSMITTANCE_MIN
 from tsplat.core.errors import ParamsError
 
 DEPTH_BITS = 32
 """All bits of a float32 depth."""
+
+LOW_PASS = 0.01, 100.0
+"""px^2: what ``low_pass`` may be. Without any, a needle would fall between the pixels' centres."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class RenderParams:
     depth_bits: int = DEPTH_BITS  # that Splats.depths are rounded to, 10..32; 8 are its exponent
     scale: float = 1.0  # pixels are worked out at this share of width and height, then interpolated
     share: float = 1.0  # of the Gaussians that are drawn, as tsplat.quality.thin picks them
+    low_pass: float = EPS2D  # px^2 added to the variances of projected Gaussians
     half: bool = False  # colours in float16 whatever that does to them
     float64: bool = False  # work in float64 throughout; only the reference can
 
@@ -54,6 +58,11 @@ class RenderParams:
             value = getattr(self, name)
             if not 0 < value <= 1:
                 raise ParamsError(f"{name}: expected 0 < value <= 1, got {value}")
+
+        if not LOW_PASS[0] <= self.low_pass <= LOW_PASS[1]:
+            raise ParamsError(
+                f"low_pass: expected {LOW_PASS[0]} to {LOW_PASS[1]:g} px^2, got {self.low_pass}"
+            )
 
     @property
     def depth_split(self) -> float:
@@ -82,7 +91,8 @@ PRESETS: Mapping[str, RenderParams] = MappingProxyType(
 """Name -> settings. ``exact`` is the ideal picture as far as float32 goes."""
 
 KNOBS = (
-    "alpha_threshold", "transmittance_min", "sh_degree", "depth_bits", "scale", "share", "half",
+    "alpha_threshold", "transmittance_min", "sh_degree", "depth_bits", "scale", "share",
+    "low_pass", "half",
 )  # fmt: skip
 """The fields that a preset or ``--set`` may change."""
 

@@ -19,7 +19,6 @@ from tsplat.core.constants import (
     ALPHA_FLOOR,
     ALPHA_MAX,
     CLAMP_MARGIN,
-    EPS2D,
     OFFSCREEN_MAX,
     RADIUS_PAD,
     RADIUS_SLACK,
@@ -130,10 +129,10 @@ def _project_rows(
     # summed from positive terms: the textbook's a c - b^2 cancels for every needle.
     xx, yy, xy = (a1 * a1).sum(1), (a2 * a2).sum(1), (a1 * a2).sum(1)
     det_sharp = (np.cross(a1, a2) ** 2).sum(1)
-    det = det_sharp + EPS2D * (xx + yy) + EPS2D**2
+    det = det_sharp + params.low_pass * (xx + yy) + params.low_pass**2
     if params.antialias:
         opacity = opacity * np.sqrt(det_sharp / det)
-    var_x, var_y = xx + EPS2D, yy + EPS2D
+    var_x, var_y = xx + params.low_pass, yy + params.low_pass
 
     fits = (
         (xx + yy <= VARIANCE_MAX) & (abs(mean_x) <= OFFSCREEN_MAX) & (abs(mean_y) <= OFFSCREEN_MAX)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn, Protocol
 
@@ -14,6 +14,9 @@ from tsplat.core.types import I64, Scene
 
 SAMPLE_SEED = 0x5EED
 """The same file gives the same sample on every run."""
+
+SAMPLED = "beyond max_splats"
+"""Why Gaussians are left out that are not in the sample."""
 
 
 def _silent(done: int, total: int) -> None:
@@ -59,6 +62,14 @@ def sample_rows(total: int, keep: int) -> I64:
     """
     edges = np.arange(keep + 1, dtype=np.int64) * total // keep
     return np.random.default_rng(SAMPLE_SEED).integers(edges[:-1], edges[1:])
+
+
+def sampled(scene: Scene, keep: int | None) -> Scene:
+    """``keep`` of the Gaussians of a scene in memory, as a reader keeps them of a file; None: all."""
+    if keep is None or keep >= len(scene):
+        return scene
+    dropped = {**scene.dropped, SAMPLED: len(scene) - keep}
+    return replace(scene.take(sample_rows(len(scene), keep)), dropped=dropped)
 
 
 def refuse(path: Path, fault: str) -> NoReturn:

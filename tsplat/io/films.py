@@ -238,7 +238,7 @@ def _write_gif(place: Path, film: Film) -> None:
     def frames() -> Iterator[Image.Image]:
         for picture in _pictures(film):
             colors = distinct(picture)
-            palette = np.rint(adaptive_palette(colors, GIF_COLORS))
+            palette = np.rint(adaptive_palette(colors, GIF_COLORS)).astype(np.uint8)
             image = Image.fromarray(dither(colors, palette))
             image.putpalette(palette.astype(np.uint8).tobytes())
             yield image

@@ -24,7 +24,7 @@ from tsplat.core.types import F64, I32, Floats, Scene
 from tsplat.core.workspace import default_threads
 from tsplat.hookspecs import hookimpl
 from tsplat.io import curve, native
-from tsplat.io.base import Read, Reader, ReadOptions, refuse, sample_rows
+from tsplat.io.base import SAMPLED, Read, Reader, ReadOptions, refuse, sample_rows
 from tsplat.io.clean import CHUNK, OPACITY_RANGE, THREADS, SceneBuilder
 from tsplat.io.half import SH_ERROR_MAX
 
@@ -44,8 +44,6 @@ REST_COUNTS = (0, 9, 24, 45)
 
 Columns = Callable[[NDArray[np.void]], NDArray[np.generic]]
 """Rows -> [n, k], some of their properties."""
-
-SAMPLED = "beyond max_splats"
 
 PIECE = 4 * CHUNK
 """Rows that a thread decodes before it takes the next."""

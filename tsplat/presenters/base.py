@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import TYPE_CHECKING
 
 from tsplat.core.errors import PluginError, printable
+
+BLOCK = 16  # rows compared at once
 
 if TYPE_CHECKING:  # tsplat.terminal needs Terminal, but not NumPy
     from tsplat.core.types import U8, Frame
@@ -49,6 +52,9 @@ class Terminal:
     placeholders: bool = False  # knows kitty's cells that stand for parts of a picture
     advice: str = ""  # what the user can do to see better pictures
     media: str = ""  # kitty's letters of what it said it can read: "s", "t"
+    keyboard: bool = False  # kitty's keyboard protocol: keys are told when they are let go, too
+    in_band_resize: bool = False  # DEC mode 2048: tells its size when that changes
+    pixel_mouse: bool = False  # DEC mode 1016: tells where the mouse is in px
     share: Callable[[Buffer], Shared | None] | None = field(default=None, compare=False, repr=False)
     """Leaves bytes where the terminal finds them; None, or returns None, where that is not to be
     had. The one thing here that is no plain fact: presenters without it send all bytes."""
@@ -62,6 +68,10 @@ class Terminal:
 
 def _nothing(terminal: Terminal) -> bytes:
     return b""
+
+
+def _any(terminal: Terminal) -> float:
+    return inf
 
 
 def _square(terminal: Terminal) -> tuple[float, float]:
@@ -79,7 +89,9 @@ class Presenter:
 
     While the picture moves it may have fewer pixels than ``size``. ``fill(frame, terminal,
     previous)``, where it is offered, is ``encode`` for those: the picture covers what one of
-    ``size`` would. Of both the ``previous`` frame may be of either kind.
+    ``size`` would. Of both the ``previous`` frame may be of either kind. ``rest(frame, terminal)``,
+    where it is offered, are the bytes for a picture of ``size`` that stays for a while, whatever the
+    screen shows: better than ``encode``'s, which then may be as quick as moving pictures want it.
     """
 
     name: str
@@ -91,7 +103,10 @@ class Presenter:
     # the bytes of a picture that later ones must not replace; None: those of encode
     still: Callable[[Frame, Terminal], bytes] | None = None
     clear: Callable[[Terminal], bytes] = _nothing  # takes the picture away again
+    fps: Callable[[Terminal], float] = _any  # pictures a second at most
     rank: int = -1  # "auto" takes the highest that is supported
+    # encode for a frame that stays for a while; None: encode's are as good as can be
+    rest: Callable[[Frame, Terminal], bytes] | None = None
     # encode for a frame of fewer px, shown over the same area; None: the viewer repeats pixels
     fill: Callable[[Frame, Terminal, Frame | None], bytes] | None = None
 
@@ -105,33 +120,61 @@ def no_pictures(terminal: Terminal) -> str | None:
     return None
 
 
-def changed(image: U8, previous: Frame | None) -> bool:
-    """Whether ``image`` [H, W, 3], 8 bits, differs from ``previous`` as shown.
+def pixels(frame: Frame) -> U8:
+    """``frame.to_uint8()``, [H, W, 3]; by C where that was built."""
+    from tsplat.presenters import native
 
-    Looks at every 16th row first: of a moving picture that is enough.
+    if native.lib is None or frame.rgb.dtype.char != "f":
+        return frame.to_uint8()
+    return native.to_uint8(frame.rgb)
+
+
+def changed_rows(image: U8, previous: Frame | None) -> range | None:
+    """From the first to the last row of ``image`` [H, W, 3], 8 bits, that ``previous`` has not.
+
+    None if there is none; all if nothing is known. ``image`` may be cut off where it does not fit.
     """
+    every = range(len(image))
+    if previous is None or previous.rgb.shape[:2] != image.shape[:2]:
+        return every
+    first, last = (_first_change(image, previous, rows) for rows in (every, every[::-1]))
+    return None if first is None or last is None else range(first, last + 1)
+
+
+def _first_change(image: U8, previous: Frame, rows: range) -> int | None:
+    """The first of ``rows`` that differs; looked for in blocks, because most often it is near."""
+    for start in range(0, len(rows), BLOCK):
+        part = rows[start : start + BLOCK]
+        block = slice(min(part), max(part) + 1)
+        shown = replace(
+            previous, rgb=previous.rgb[block], transmittance=previous.transmittance[block]
+        )
+        differs = (pixels(shown) != image[block]).any((1, 2))
+        if differs.any():
+            found = differs.argmax() if part.step > 0 else len(part) - 1 - differs[::-1].argmax()
+            return int(block.start + found)
+    return None
+
+
+def changed(image: U8, previous: Frame | None) -> bool:
+    """Whether ``image`` [H, W, 3], 8 bits, differs from ``previous`` as shown."""
     if previous is None or previous.rgb.shape != image.shape:
         return True
-    for step in (16, 1):
-        rows = replace(
-            previous, rgb=previous.rgb[::step], transmittance=previous.transmittance[::step]
-        )
-        if (rows.to_uint8() != image[::step]).any():
-            return True
-    return False
+    return _first_change(image, previous, range(len(image))) is not None
 
 
 def encoded(
     presenter: Presenter, frame: Frame, terminal: Terminal, previous: Frame | None = None
 ) -> bytes:
-    """``presenter.encode``'s bytes; for a picture that stays, those of ``still`` where it has one.
+    """``presenter.encode``'s bytes; of a picture that stays, ``still``'s or ``rest``'s if there are.
 
     Raises:
         PluginError: the presenter failed.
     """
     try:
-        if previous is None and presenter.still is not None:
-            return presenter.still(frame, terminal)
+        for stays in (presenter.still, presenter.rest):
+            if previous is None and stays is not None:
+                return stays(frame, terminal)
         return presenter.encode(frame, terminal, previous)
     except Exception as error:
         raise PluginError(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.types import F32, U8, Frame
-from tsplat.presenters.base import Terminal
+from tsplat.presenters.base import Terminal, pixels
 from tsplat.presenters.dither import THRESHOLDS, Mixer
 
 CSI = b"\x1b["
@@ -168,7 +168,7 @@ def show(
 def _whole(frame: Frame, terminal: Terminal, wide: int, high: int) -> U8:
     """The picture that fits, in whole cells; px that are missing are black."""
     width, height = room(terminal, wide, high)
-    image = frame.to_uint8()[:height, :width]
+    image = pixels(frame)[:height, :width]
     more = -len(image) % high, -image.shape[1] % wide
     return np.pad(image, ((0, more[0]), (0, more[1]), (0, 0))) if any(more) else image
 

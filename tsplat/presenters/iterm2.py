@@ -1,23 +1,28 @@
 """iTerm2's inline images (https://iterm2.com/documentation-images.html).
 
-JPEG, because these are moving pictures: a 640x360 frame takes 2 ms to encode and some 65 kB, a
-PNG 12 ms and 370 kB, and Konsole shows a JPEG in 4 ms, a PNG in 29. Both formats are understood
-everywhere; nothing is gained from PNG but exactness, for which there is kitty's protocol.
+JPEG as long as the picture moves: a 640x360 frame takes 2 ms to encode and some 50 kB, a PNG 12 ms
+and 250 kB, and Konsole shows a JPEG in 4 ms, a PNG in 29. One that stays is a PNG, exact, or over a
+network a better JPEG. Both formats are understood everywhere.
 """
 
 from __future__ import annotations
 
 from binascii import b2a_base64
+from math import inf
 
-from tsplat.core.types import Frame
+from tsplat.core.types import U8, Frame
 from tsplat.hookspecs import hookimpl
-from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures
+from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures, pixels
+from tsplat.presenters.png import png
 
 OSC = b"\x1b]"  # Operating System Command
 BEL = b"\x07"  # ends it; older terminals know no ST here
 QUALITY = 85
 REMOTE_QUALITY = 75  # over a network: 41 kB a frame for 63, 34.3 dB for 36.4
+KEPT_QUALITY = 60  # where every picture is kept
+REST_QUALITY = 95  # of one that stays, over a network
 FULL_COLOR = 0  # no chroma subsampling: quality 75 without is 1.7 dB better than 85 with, as large
+KEPT_FPS = 10.0  # iTerm2 keeps all pictures that it was sent: half a megabyte a second is enough
 
 
 def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
@@ -26,7 +31,10 @@ def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     Width and height are the picture's own in px, so that preserveAspectRatio makes no difference
     and is left out.
     """
-    return _encode(frame, terminal, previous, frame.width, frame.height, b"")
+    image = pixels(frame)
+    if not changed(image, previous):
+        return b""
+    return _sequence(_jpeg(image, _quality(terminal)), frame.width, frame.height, b"")
 
 
 def fill(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
@@ -35,35 +43,58 @@ def fill(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     The aspect may be off by a rounded px, which is not to leave a gap: preserveAspectRatio=0.
     Konsole has that the other way round.
     """
+    image = pixels(frame)
+    if not changed(image, previous):
+        return b""
     keep = b"1" if terminal.name.startswith("Konsole") else b"0"
-    return _encode(frame, terminal, previous, *terminal.pixels, b";preserveAspectRatio=" + keep)
+    file = _jpeg(image, _quality(terminal))
+    return _sequence(file, *terminal.pixels, b";preserveAspectRatio=" + keep)
 
 
-def _encode(
-    frame: Frame, terminal: Terminal, previous: Frame | None, width: int, height: int, more: bytes
-) -> bytes:
-    """``frame`` shown at ``width`` x ``height`` px.
+def rest(frame: Frame, terminal: Terminal) -> bytes:
+    """The frame as a PNG file, exactly; over a network as a JPEG file of a third of that."""
+    image = pixels(frame)
+    file = _jpeg(image, REST_QUALITY) if terminal.remote else png(image)
+    return _sequence(file, frame.width, frame.height, b"")
 
-    ``size`` is there because VS Code shows no picture without it. doNotMoveCursor keeps Konsole
-    from scrolling; who does not know it ignores it.
-    """
+
+def fps(terminal: Terminal) -> float:
+    """Pictures a second at most: in iTerm2, which keeps them all, few."""
+    return KEPT_FPS if _keeps(terminal) else inf
+
+
+def _keeps(terminal: Terminal) -> bool:
+    return terminal.name.startswith("iTerm2")
+
+
+def _quality(terminal: Terminal) -> int:
+    if _keeps(terminal):
+        return KEPT_QUALITY
+    return REMOTE_QUALITY if terminal.remote else QUALITY
+
+
+def _jpeg(image: U8, quality: int) -> bytes:
     from io import BytesIO
 
     from PIL import Image
 
-    image = frame.to_uint8()
-    if not changed(image, previous):
-        return b""
     file = BytesIO()
-    quality = REMOTE_QUALITY if terminal.remote else QUALITY
     Image.fromarray(image).save(file, "JPEG", quality=quality, subsampling=FULL_COLOR)
-    data = file.getvalue()
+    return file.getvalue()
+
+
+def _sequence(file: bytes, width: int, height: int, more: bytes) -> bytes:
+    """``file`` shown at ``width`` x ``height`` px.
+
+    ``size`` is there because VS Code shows no picture without it. doNotMoveCursor keeps Konsole
+    from scrolling; who does not know it ignores it.
+    """
     keys = b"inline=1;size=%d;width=%dpx;height=%dpx;doNotMoveCursor=1" % (
-        len(data),
+        len(file),
         width,
         height,
     )
-    return OSC + b"1337;File=" + keys + more + b":" + b2a_base64(data, newline=False) + BEL
+    return OSC + b"1337;File=" + keys + more + b":" + b2a_base64(file, newline=False) + BEL
 
 
 def unsupported(terminal: Terminal) -> str | None:
@@ -75,12 +106,14 @@ def unsupported(terminal: Terminal) -> str | None:
 
 ITERM2 = Presenter(
     name="iterm2",
-    summary="iTerm2's inline images, JPEG",
+    summary="iTerm2's inline images: JPEG, and PNG at rest",
     encode=encode,
     size=lambda terminal: terminal.pixels,
     unsupported=unsupported,
+    fps=fps,
     rank=30,
     fill=fill,
+    rest=rest,
 )
 
 

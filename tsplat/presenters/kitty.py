@@ -20,7 +20,7 @@ from math import ceil
 
 from tsplat.core.types import U8, Frame
 from tsplat.hookspecs import hookimpl
-from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures
+from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures, pixels
 from tsplat.presenters.placeholders import IMAGE_ID as TMUX_ID
 from tsplat.presenters.placeholders import MARKS, cells, through_tmux
 from tsplat.presenters.png import png
@@ -50,7 +50,7 @@ def _encode(
 
     C=1 leaves the cursor where it is, so that nothing scrolls; q=2 asks for no answer.
     """
-    image = frame.to_uint8()
+    image = pixels(frame)
     if not changed(image, previous):
         return b""
     keys, data = transmission(image, terminal)

@@ -8,12 +8,14 @@ from tsplat.terminal.answers import parse_answers
 from tsplat.terminal.choice import choose_presenter
 from tsplat.terminal.device import probe
 from tsplat.terminal.events import Decoder, Event
-from tsplat.terminal.screen import Flight, Screen, Terminated
+from tsplat.terminal.link import Flight, Link
+from tsplat.terminal.screen import Screen, Terminated
 
 __all__ = [
     "Decoder",
     "Event",
     "Flight",
+    "Link",
     "Screen",
     "Terminated",
     "choose_presenter",

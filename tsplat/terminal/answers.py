@@ -9,6 +9,9 @@ not come. Sources:
 - kitty's query: https://sw.kovidgoyal.net/kitty/graphics-protocol/#querying-support
 - ReportCellSize: https://iterm2.com/documentation-escape-codes.html
 - synchronized output: https://github.com/contour-terminal/vt-extensions
+- keyboard: https://sw.kovidgoyal.net/kitty/keyboard-protocol/#detection-of-support
+- sizes told in-band (mode 2048):
+  https://gist.github.com/rockorager/e695fb2924d36b2bcf1fff4a3704bd83
 - NO_COLOR: https://no-color.org
 
 Who draws which block characters itself, whatever the font has, was photographed (kitty 0.26.5 and
@@ -43,6 +46,8 @@ KITTY_QUESTION = b"\x1b_Gi=%d,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\" % KITTY_ID
 QUESTIONS = (
     b"\x1b[>q"  # XTVERSION
     b"\x1b[?2026$p"  # DECRQM: synchronized output
+    b"\x1b[?2048$p\x1b[?1016$p"  # DECRQM: sizes told in-band, the mouse in px
+    b"\x1b[?u"  # kitty's keyboard protocol: its flags now
     b"\x1b[14t\x1b[16t"  # XTWINOPS: text area, cell; px
     b"\x1b[?1;1;0S\x1b[?2;4;0S"  # XTSMGRAPHICS: registers now, largest sixel picture
     b"\x1b]1337;ReportCellSize\x1b\\"
@@ -62,7 +67,8 @@ _ANSWER = re.compile(
 _XTVERSION = re.compile(rb"\x1bP>\|([^\x1b]*)\x1b\\")
 _KITTY_OK = re.compile(rb"\x1b_Gi=([0-9]{1,9})[^;\x1b]*;OK\x1b\\")
 _KITTY_VERSION = re.compile(r"kitty\(([0-9]{1,4})\.([0-9]{1,4})")
-_SYNCHRONIZED = re.compile(rb"\x1b\[\?2026;([0-9]+)\$y")
+_MODE = re.compile(rb"\x1b\[\?(2026|2048|1016);[123]\$y")  # DECRPM: set, reset or set for good
+_KEYBOARD = re.compile(rb"\x1b\[\?[0-9]{1,5}u")
 _AREA = re.compile(rb"\x1b\[4;([0-9]{1,6});([0-9]{1,6})t")
 _CELL = re.compile(rb"\x1b\[6;([0-9]{1,6});([0-9]{1,6})t")
 _REGISTERS = re.compile(rb"\x1b\[\?1;0;([0-9]{1,6})S")
@@ -91,6 +97,8 @@ _DRAWS = (
     ("kitty", (0, 26)), ("foot", (1, 13)), ("ghostty", (1,)), ("konsole", (22, 12)),
     ("wezterm", (20210314,)), ("vte", ()), ("alacritty", ()),
 )  # fmt: skip
+MOST_CELLS = 4096  # rows or columns; 8K with letters of 2 px
+MOST_PIXELS = 1 << 27  # 16384x8192
 GLYPHS = "TSPLAT_GLYPHS"
 GLYPH_SETS = ("halves", "quadrants", "sextants", "octants")
 
@@ -136,7 +144,7 @@ def parse_answers(
     attributes = da1.group(1).split(b";")[1:] if da1 else []
     registers = _REGISTERS.search(answers)
     geometry = _GEOMETRY.search(answers)
-    sync = _SYNCHRONIZED.search(answers)
+    modes = set(_MODE.findall(answers))
     name = said or _name_by_environment(environ)
     glyphs, draws_blocks = _glyphs(name, mux, environ)
     kitty_ok = {int(number) for number in _KITTY_OK.findall(around if mux == "tmux" else answers)}
@@ -151,7 +159,10 @@ def parse_answers(
         sixel=sixel,
         sixel_registers=max(2, int(registers.group(1))) if registers else 256,
         sixel_max=(int(geometry.group(1)), int(geometry.group(2))) if geometry else (0, 0),
-        synchronized=sync is not None and sync.group(1) in (b"1", b"2", b"3"),
+        synchronized=b"2026" in modes,
+        keyboard=_KEYBOARD.search(answers) is not None,
+        in_band_resize=b"2048" in modes,
+        pixel_mouse=b"1016" in modes,
         glyphs=glyphs,
         draws_blocks=draws_blocks,
         name=name,
@@ -205,6 +216,19 @@ def resized(terminal: Terminal, winsize: Winsize) -> Terminal:
     if abs(new.cell_height - terminal.cell_height) <= 0.5:
         new = replace(new, cell_height=terminal.cell_height)
     return new
+
+
+def told_size(terminal: Terminal, winsize: Winsize) -> Terminal:
+    """The same terminal, of the size that it tells in-band; itself if that is none to believe.
+
+    The kernel's numbers are what somebody with access to the tty set; these come with what is
+    typed. A picture of more than ``MOST_PIXELS`` is not begun for them.
+    """
+    if not all(1 <= cells <= MOST_CELLS for cells in winsize[:2]):
+        return terminal
+    new = resized(terminal, winsize)
+    width, height = new.columns * new.cell_width, new.rows * new.cell_height
+    return new if width * height <= MOST_PIXELS else terminal
 
 
 def _sized(terminal: Terminal, winsize: Winsize, told: tuple[float, float] | None) -> Terminal:

@@ -1,14 +1,17 @@
 """Keys, mouse and answers out of the bytes a terminal sends.
 
 A :class:`Decoder` takes the bytes as they come, in any pieces, and makes the same events of them.
-Sources: https://invisible-island.net/xterm/ctlseqs/ctlseqs.html (keys, mouse modes 1000 to 1006,
-DSR); the shape of control sequences is ECMA-48's, section 5.4.
+Sources: https://invisible-island.net/xterm/ctlseqs/ctlseqs.html (keys, mouse modes 1000 to 1016,
+focus, DSR); the shape of control sequences is ECMA-48's, section 5.4. What kitty's keyboard
+protocol sends is read by :mod:`tsplat.terminal.keys`.
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+
+from tsplat.terminal.keys import CONTROLS, Key, decoded
 
 ESC = 0x1B
 BEL = 0x07
@@ -18,43 +21,11 @@ _STRINGS = frozenset(b"P]_^X")  # DCS, OSC, APC, PM, SOS: a string up to ST
 # CSI parameters, intermediates, final byte
 _CSI = re.compile(rb"\x1b\[([0-?]*)([ -/]*)([@-~])")
 _CSI_PART = re.compile(rb"\x1b\[[0-?]*[ -/]*")
-_MOUSE = re.compile(rb"<(\d{1,6});(\d{1,6});(\d{1,6})")
+# SGR mouse report: button, x, y. Pixels (1016) outside the window are negative in some terminals
+_MOUSE = re.compile(rb"\x1b\[<(\d{1,6});(-?\d{1,6});(-?\d{1,6})([Mm])")
+_MOUSE_PART = re.compile(rb"\x1b\[<[\d;-]{0,23}")
+_RESIZE = re.compile(rb"48;(\d{1,6});(\d{1,6});(\d{1,6});(\d{1,6})")
 
-_LETTERS = {
-    **dict(zip("ABCDHF", ("up", "down", "right", "left", "home", "end"), strict=True)),
-    **dict(zip("PQRS", ("f1", "f2", "f3", "f4"), strict=True)),
-    "M": "enter",  # SS3 M: the keypad's Enter
-    "Z": "shift+tab",
-}
-_NUMBERS = {
-    **dict(
-        zip(
-            (1, 2, 3, 4, 5, 6, 7, 8),
-            ("home", "insert", "delete", "end", "pageup", "pagedown", "home", "end"),
-            strict=True,
-        )
-    ),
-    **dict(
-        zip(
-            (11, 12, 13, 14, 15, 17, 18, 19, 20, 21, 23, 24),
-            (f"f{n}" for n in range(1, 13)),
-            strict=True,
-        )
-    ),
-}
-_CONTROLS = {
-    0x00: "ctrl+space",
-    0x08: "backspace",
-    0x09: "tab",
-    0x0A: "enter",
-    0x0D: "enter",
-    0x1C: "ctrl+\\",
-    0x1D: "ctrl+]",
-    0x1E: "ctrl+^",
-    0x1F: "ctrl+_",
-    0x7F: "backspace",
-    **{n: f"ctrl+{chr(n + 96)}" for n in range(1, 27) if n not in (8, 9, 10, 13)},
-}
 _BUTTONS = ("left", "middle", "right")
 _WHEEL = ("up", "down", "left", "right")
 
@@ -63,20 +34,28 @@ _WHEEL = ("up", "down", "left", "right")
 class Event:
     """Something that happened at the terminal.
 
-    ``kind`` is "key" (with ``key``), "mouse" (with ``action``, ``button``, ``x``, ``y``,
-    ``modifiers``), "resize" (sizes changed or the screen was lost: draw everything again),
-    "ready" (the frame sent last was taken), "terminal" (late answers changed what is known of
-    the terminal), "watched" (there is something to read where :attr:`Screen.watched` points) or
-    whatever another thread has posted.
+    ``kind`` is "key" (with ``key``, ``action``, ``code``), "mouse" (with ``action``, ``button``,
+    ``x``, ``y``, ``modifiers``), "focus" (with ``action``), "resize" (sizes changed or the screen
+    was lost: draw everything again), "ready" (the frame sent last was taken), "terminal" (late
+    answers changed what is known of the terminal), "watched" (there is something to read where
+    :attr:`Screen.watched` points) or whatever another thread has posted.
+
+    The release of a key has the ``code`` of its press. Its ``key`` may differ: Shift may have been
+    released before. Repeats and releases come only from terminals with kitty's keyboard protocol;
+    elsewhere a key held down is pressed again and again.
     """
 
     kind: str
     key: str = ""  # a printable character, or a name such as "up", "shift+tab", "ctrl+c"
-    action: str = ""  # press, release, drag or wheel
+    action: str = (
+        "press"  # of keys also repeat, release; mouse: release, drag, wheel; focus: in, out
+    )
     button: str = ""  # left, middle, right; of a wheel also up, down
-    x: int = 0  # cell, 0 is the leftmost
-    y: int = 0  # cell, 0 is the topmost
+    x: float = 0  # cells from the left edge; whole (the cell) where a terminal tells no pixels
+    y: float = 0  # cells from the top
     modifiers: frozenset[str] = frozenset()  # of shift, alt, ctrl; keys have them in their name
+    code: str = ""  # of the key, whatever Shift makes of it; "": its release will not be told
+    size: tuple[int, int, int, int] | None = None  # told by the terminal: rows, columns, px, px
 
 
 class Decoder:
@@ -85,7 +64,14 @@ class Decoder:
     Answers to queries are no events: they gather in ``answers`` until somebody takes them.
     ``pending`` says that an escape sequence is unfinished; when nothing more comes for some 50 ms
     :meth:`flush` takes what is there for keys.
+
+    ``keyboard`` says that kitty's keyboard protocol is on, so that releases will be told also of
+    keys whose press looks as ever. ``cell``, its width and height in px, says that the mouse is
+    told in pixels (mode 1016).
     """
+
+    keyboard: bool = False
+    cell: tuple[float, float] | None = None
 
     def __init__(self) -> None:
         self.answers = bytearray()
@@ -144,10 +130,9 @@ class Decoder:
         if second == 0x4F:  # O: SS3, one final byte
             if len(data) == 2:
                 return 0, None
-            name = _LETTERS.get(chr(data[2]), "")
             if data[2] == ESC or data[2] < 0x20:
                 return 2, Event("key", "alt+O")
-            return 3, Event("key", name) if name else None
+            return 3, _key(decoded("", chr(data[2]), self.keyboard))
         if second in _STRINGS:
             return self._string(data)
         if second in (ESC, 0x03):  # Escape, then a sequence of its own; Ctrl+C is always one
@@ -158,6 +143,11 @@ class Decoder:
         return used + 1, None if event is None else Event("key", f"alt+{event.key}")
 
     def _csi(self, data: bytes) -> tuple[int, Event | None]:
+        if mouse := _MOUSE.match(data):
+            b, x, y = map(int, mouse.groups()[:3])
+            return mouse.end(), _mouse(b, x, y, mouse.group(4) == b"m", self.cell)
+        if _MOUSE_PART.fullmatch(data):
+            return 0, None
         match = _CSI.match(data)
         if match is None:
             part = _CSI_PART.match(data)
@@ -171,15 +161,17 @@ class Decoder:
                 return 0, None
             b, x, y = (n - 32 for n in data[match.end() : match.end() + 3])
             return match.end() + 3, _mouse(b, x, y, b & 67 == 3)
-        if final in b"Mm" and (found := _MOUSE.fullmatch(parameters)) and not middle:
-            b, x, y = map(int, found.groups())
-            return match.end(), _mouse(b, x, y, final == b"m")
         if (parameters, middle, final) == (b"0", b"", b"n"):
             return match.end(), Event("ready")
+        if (parameters, middle) == (b"", b"") and final in b"IO":
+            return match.end(), Event("focus", action="in" if final == b"I" else "out")
+        if final == b"t" and not middle and (size := _RESIZE.match(parameters)):
+            rows, columns, height, width = map(int, size.groups())
+            return match.end(), Event("resize", size=(rows, columns, width, height))
         if middle or parameters[:1] in (b"?", b">", b"=", b"<") or final in b"cnty":
             self.answers += match.group()
             return match.end(), None
-        return match.end(), _csi_key(parameters.decode("ascii"), final.decode("ascii"))
+        return match.end(), _key(decoded(parameters.decode(), final.decode(), self.keyboard))
 
     def _string(self, data: bytes) -> tuple[int, Event | None]:
         """A DCS, OSC, APC, PM or SOS up to ST (or BEL); a control character breaks it off."""
@@ -200,12 +192,14 @@ class Decoder:
         return 0, None
 
 
+def _key(key: Key | None) -> Event | None:
+    return None if key is None else Event("key", key.key, key.action, code=key.code)
+
+
 def _character(data: bytes) -> tuple[int, Event | None]:
     first = data[0]
-    if first in _CONTROLS:
-        return 1, Event("key", _CONTROLS[first])
-    if first == ESC:
-        return 1, Event("key", "escape")
+    if first in CONTROLS:
+        return 1, Event("key", CONTROLS[first])
     if first < 0x80:
         return 1, Event("key", chr(first))
     length = 2 if 0xC2 <= first < 0xE0 else 3 if first < 0xF0 else 4 if first < 0xF5 else 1
@@ -223,9 +217,14 @@ def _character(data: bytes) -> tuple[int, Event | None]:
     return length, Event("key", text) if text.isprintable() else None
 
 
-def _mouse(b: int, x: int, y: int, released: bool) -> Event | None:
+def _mouse(
+    b: int, across: int, down: int, released: bool, cell: tuple[float, float] | None = None
+) -> Event | None:
     modifiers = frozenset(name for bit, name in ((4, "shift"), (8, "alt"), (16, "ctrl")) if b & bit)
-    x, y = max(0, x - 1), max(0, y - 1)
+    x: float = max(0, across - 1)
+    y: float = max(0, down - 1)
+    if cell is not None:  # px, counted from 0 or 1
+        x, y = x / cell[0], y / cell[1]
     if b & 192 == 64:
         if released:
             return None
@@ -239,24 +238,5 @@ def _mouse(b: int, x: int, y: int, released: bool) -> Event | None:
             return None  # moved with no button down
         action = "drag"
     else:
-        action = "release" if released else "press"
-        if not button and not released:
-            return None
+        action = "press" if button and not released else "release"  # Konsole: "press of none"
     return Event("mouse", action=action, button=button, x=x, y=y, modifiers=modifiers)
-
-
-def _csi_key(parameters: str, final: str) -> Event | None:
-    numbers = [int(p) if p.isdecimal() and len(p) < 6 else 0 for p in parameters.split(";")]
-    if final == "~":
-        name = _NUMBERS.get(numbers[0], "")
-    elif final == "M" or (final in "PQRS" and numbers[0] not in (0, 1)):
-        name = ""  # CSI row;col R is a cursor position, nobody asked for it
-    else:
-        name = _LETTERS.get(final, "")
-    if not name:
-        return None
-    held = max(0, numbers[1] - 1) if len(numbers) > 1 else 0
-    if name == "shift+tab":
-        held = 0
-    prefix = "".join(word for bit, word in ((4, "ctrl+"), (2, "alt+"), (1, "shift+")) if held & bit)
-    return Event("key", prefix + name)

@@ -106,6 +106,19 @@ def findings(
         "DECRQM 2026", _found(rb"\x1b\[\?2026;[0-9]\$y", heard.answers),
         "synchronized output" if terminal.synchronized else "sent all the same: harmless",
     )  # fmt: skip
+    row(
+        "kitty keyboard CSI ?u", _found(rb"\x1b\[\?[0-9]{1,5}u", heard.answers),
+        "told when a key is let go" if terminal.keyboard
+        else "a key is let go when it is not repeated",
+    )  # fmt: skip
+    row(
+        "DECRQM 1016", _found(rb"\x1b\[\?1016;[0-9]\$y", heard.answers),
+        "the mouse moves in " + ("px" if terminal.pixel_mouse else "cells"),
+    )  # fmt: skip
+    row(
+        "DECRQM 2048", _found(rb"\x1b\[\?2048;[0-9]\$y", heard.answers),
+        "it tells its new size" if terminal.in_band_resize else "the kernel tells a new size",
+    )  # fmt: skip
     rows_, columns, xpixel, ypixel = winsize
     row(
         "TIOCGWINSZ", f"{columns}x{rows_} cells, {xpixel}x{ypixel} px",

@@ -15,25 +15,37 @@ from tsplat.presenters.base import Terminal
 TRUECOLOR = 1 << 24
 FEATURES = {
     "kitty": "kitty", "iterm2": "iterm2", "sixel": "sixel", "sync": "synchronized",
-    "placeholders": "placeholders", "remote": "remote",
+    "placeholders": "placeholders", "remote": "remote", "keys": "keyboard",
+    "resize": "in_band_resize", "pixel-mouse": "pixel_mouse",
 }  # fmt: skip
 """Word -> the field of Terminal."""
 
-_NONE = dict.fromkeys(("kitty", "iterm2", "sixel", "synchronized", "placeholders"), False)
+_INPUT = "keyboard", "in_band_resize", "pixel_mouse"
+_NONE = dict.fromkeys(("kitty", "iterm2", "sixel", "synchronized", "placeholders", *_INPUT), False)
+_ALL_INPUT = dict.fromkeys(_INPUT, True)
 PROFILES: dict[str, dict[str, Any]] = {
     "plain": {**_NONE, "name": ""},
-    "kitty": {**_NONE, "kitty": True, "synchronized": True, "placeholders": True, "name": "kitty"},
-    "ghostty": {
-        **_NONE, "kitty": True, "synchronized": True, "placeholders": True, "name": "ghostty",
+    "kitty": {
+        **_NONE, **_ALL_INPUT, "kitty": True, "synchronized": True, "placeholders": True,
+        "name": "kitty",
     },
-    "konsole": {**_NONE, "kitty": True, "iterm2": True, "sixel": True, "name": "Konsole"},
+    "ghostty": {
+        **_NONE, **_ALL_INPUT, "kitty": True, "synchronized": True, "placeholders": True,
+        "name": "ghostty",
+    },
+    "konsole": {
+        **_NONE, "kitty": True, "iterm2": True, "sixel": True, "keyboard": True, "name": "Konsole",
+    },
     "wezterm": {
         **_NONE, "kitty": True, "iterm2": True, "sixel": True, "synchronized": True,
         "name": "WezTerm",
     },
     "iterm2": {**_NONE, "iterm2": True, "sixel": True, "synchronized": True, "name": "iTerm2"},
-    "vscode": {**_NONE, "iterm2": True, "sixel": True, "synchronized": True, "name": "xterm.js"},
-    "foot": {**_NONE, "sixel": True, "synchronized": True, "name": "foot"},
+    "vscode": {
+        **_NONE, "iterm2": True, "sixel": True, "synchronized": True, "pixel_mouse": True,
+        "name": "xterm.js",
+    },
+    "foot": {**_NONE, **_ALL_INPUT, "sixel": True, "synchronized": True, "name": "foot"},
     "mlterm": {**_NONE, "iterm2": True, "sixel": True, "name": "mlterm"},
 }  # fmt: skip
 """What a terminal has in versions of today; its size and colours stay as they were found."""

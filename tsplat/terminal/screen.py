@@ -1,7 +1,9 @@
 """A session on the terminal that leaves no trace, however it ends.
 
-Synchronized output: https://github.com/contour-terminal/vt-extensions ; modes 1049, 25, 1002 and
-1006, and DSR (``CSI 5 n``): https://invisible-island.net/xterm/ctlseqs/ctlseqs.html
+Synchronized output: https://github.com/contour-terminal/vt-extensions ; modes 1049, 25, 1002, 1004,
+1006 and 1016, and DSR (``CSI 5 n``): https://invisible-island.net/xterm/ctlseqs/ctlseqs.html ;
+releases of keys: https://sw.kovidgoyal.net/kitty/keyboard-protocol/ ; mode 2048:
+https://gist.github.com/rockorager/e695fb2924d36b2bcf1fff4a3704bd83
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -24,9 +26,10 @@ from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
 from tsplat.presenters.placeholders import through_tmux
 from tsplat.terminal import device
-from tsplat.terminal.answers import DA1, DA1_ANSWER, resized
+from tsplat.terminal.answers import DA1, DA1_ANSWER, resized, told_size
 from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, READ_SIZE
 from tsplat.terminal.events import Decoder, Event
+from tsplat.terminal.link import Flight, Link
 from tsplat.terminal.sharing import Sharing
 
 BEGIN_UPDATE = b"\x1b[?2026h"  # BSU: unknown to some, harmless to all; Konsole has it untold
@@ -34,14 +37,20 @@ END_UPDATE = b"\x1b[?2026l"  # ESU
 HOME = b"\x1b[H"
 CLEAR = b"\x1b[m\x1b[2J" + HOME
 HIDE_CURSOR, SHOW_CURSOR = b"\x1b[?25l", b"\x1b[?25h"
-MOUSE_ON = b"\x1b[?1002h\x1b[?1006h"  # buttons and drags, told as SGR
-MOUSE_OFF = b"\x1b[?1006l\x1b[?1002l"
+# Kitty's keyboard protocol, on a stack that each screen has of its own: 2 tells releases, 8 those
+# of letters, too; 16 tells the text, 4 the letter with Shift, 1 is what these are built upon
+KEYS = b"\x1b[>31u", b"\x1b[<u"
+PIXELS = b"\x1b[?1016h", b"\x1b[?1016l"  # the mouse in px; after 1006, which it takes the place of
+MOUSE = b"\x1b[?1002h\x1b[?1006h", b"\x1b[?1006l\x1b[?1002l"  # buttons and drags, told as SGR
+FOCUS = b"\x1b[?1004h", b"\x1b[?1004l"  # unknown to some, harmless to all
+SIZES = b"\x1b[?2048h", b"\x1b[?2048l"  # told in-band, at once and when they change
 STRING_END = b"\x1b\\"  # ST
 PLAIN = b"\x1b[m"
 STATUS_REPORT = b"\x1b[5n"  # DSR, answered CSI 0 n once all before it is done
 
 ESCAPE_SECONDS = 0.05  # a lone ESC older than this is the Escape key
 FRAME_SECONDS = 1.0  # a frame is given up that a terminal has not acknowledged which never did
+SLOWEST = 5e3  # bytes/s: for each 5 kB of such a frame a second more
 PATIENCE_SECONDS = 20.0  # and of one that did: the line is slow, or the network away for a while
 BURST_SECONDS = 0.01  # what ``max_rate`` allows in that time goes at once
 PIECE = 256  # bytes; a tty that can be written to takes so many without a long wait
@@ -60,16 +69,11 @@ class Terminated(SystemExit):
         self.signum = signum
 
 
-@dataclass(frozen=True)
-class Flight:
-    """How a tracked frame got through."""
-
-    sent: int  # bytes
-    seconds: float  # from the first byte's write until the terminal's answer was here
-
-
 class Screen:
-    """The alternate screen in raw mode, cursor hidden, mouse reported; a context manager.
+    """The alternate screen in raw mode, cursor hidden, mouse and focus told; a context manager.
+
+    Where the terminal is known to have them, releases of keys, the mouse in px and sizes are told,
+    too; ``mouse`` False asks for none of these.
 
     All is restored on normal exit, exceptions, SIGTERM, SIGHUP, SIGINT and, as a last resort, at
     interpreter exit. A signal's handler takes note and wakes the reader; the call of this class
@@ -103,6 +107,7 @@ class Screen:
         self.watched: int | None = None  # descriptor; the event "watched" while it can be read
         self._asked = terminal is not None
         self._in, self._out, self._mouse = fd_in, fd_out, mouse
+        self._on: tuple[tuple[bytes, bytes], ...] = ()  # modes, in the order they are undone
         self._environ = os.environ if environ is None else environ
         self._timeout = device.patience(self._environ) if timeout is None else timeout
         self._sharing = Sharing(self._environ)
@@ -120,15 +125,15 @@ class Screen:
         self._waiting = False  # in a call that a signal may interrupt
         self._leaving = False
         self._unanswered = self._overdue = self._given_up = 0  # status reports
-        # s, monotonic: when the last tracked frame was begun, and written; last input
-        self._begun = self._sent = self._heard = 0.0
+        self._sent = self._heard = 0.0  # s, monotonic: last output of a tracked frame, last input
         self._answered = False  # a status report, ever
-        self.flight: Flight | None = None  # of the last frame acknowledged
+        self.link = Link()
+        self.flights: deque[Flight] = deque()  # of frames acknowledged, until somebody takes them
+        self._to_tell = False  # a tracked frame was drawn, and no "ready" has come since
         self._nudge_at: float | None = None
         self._patient: int | None = None  # writes to it do not block
         self._rest: deque[memoryview] = deque()  # output that the tty has not taken yet
         self._free_at = 0.0  # s, monotonic: when ``max_rate`` lets more of it go
-        self._size = 0  # bytes of the last tracked frame
         self._posted: deque[Event] = deque()  # by other threads
 
     # --- entering and leaving
@@ -184,13 +189,39 @@ class Screen:
         device.write_all(self._out, ENTER_ALTERNATE)
 
     def _set_modes(self) -> None:
-        device.write_all(self._out, HIDE_CURSOR + (MOUSE_ON if self._mouse else b"") + CLEAR)
+        device.write_all(self._out, HIDE_CURSOR + self._switched() + CLEAR)
+
+    def _wanted(self) -> tuple[tuple[bytes, bytes], ...]:
+        """The modes that this terminal is to have, in the order in which they are undone."""
+        if not self._mouse:
+            return ()
+        facts = self.terminal
+        modes = (
+            (KEYS, facts.keyboard), (PIXELS, facts.pixel_mouse), (MOUSE, True), (FOCUS, True),
+            (SIZES, facts.in_band_resize),
+        )  # fmt: skip
+        return tuple(mode for mode, wanted in modes if wanted)
+
+    def _switched(self) -> bytes:
+        """What makes the modes that are on those that are wanted. Never is one on twice."""
+        off, self._on = self._undone(), self._wanted()
+        self._decoder.keyboard = KEYS in self._on
+        return off + b"".join(on for on, _ in reversed(self._on))
+
+    def _undone(self) -> bytes:
+        """What switches the modes off."""
+        off, self._on = b"".join(off for _, off in self._on), ()
+        self._decoder.keyboard = False
+        return off
 
     def _ask(self) -> None:
+        begun = time.monotonic()
         heard = device.ask(self._in, self._out, self._environ, self._sharing, self._timeout)
         self._heard_first = heard
         self._said = heard.answers
         self._answering = DA1_ANSWER.search(self._said) is not None
+        if self._answering:
+            self.link.pinged(time.monotonic() - begun)
         self._understand()
         self._queue += self._decoder.feed(heard.typed)
 
@@ -199,6 +230,7 @@ class Screen:
         heard = replace(self._heard_first, answers=self._said)
         size = device.window_size(self._out)
         self.terminal = self._sharing.shared_by(heard.terminal(self._environ, size))
+        self.link.remote = self.terminal.remote
         if self._answering:
             self._sharing.close()  # of what was asked, all that will be taken has been
 
@@ -210,7 +242,7 @@ class Screen:
         saved, self._saved = self._saved, None
         undo = STRING_END if self._rest else b""  # of a picture that is sent in part
         self._rest.clear()
-        undo += END_UPDATE + STRING_END + self.cleanup + (MOUSE_OFF if self._mouse else b"")
+        undo += END_UPDATE + STRING_END + self.cleanup + self._undone()
         undo += PLAIN + SHOW_CURSOR + LEAVE_ALTERNATE
         try:
             if device.write_all(self._writable, undo + DA1, LEAVE_SECONDS) and self._answering:
@@ -242,6 +274,7 @@ class Screen:
         """Sets the modes and asks for a redraw: who knows what happened meanwhile."""
         self._set_modes()
         self._unanswered = self._overdue = 0
+        self.link.lost()
         self._resize()
 
     def _resize(self) -> None:
@@ -304,7 +337,7 @@ class Screen:
             self._rest.append(memoryview(data))
             while self._rest:
                 self._pump()
-                if self._rest and time.monotonic() < self._free_at:
+                if self._rest and time.monotonic() < self._held_until:
                     time.sleep(BURST_SECONDS)
                 elif self._rest:
                     select.select([], [self._writable], [])
@@ -322,11 +355,12 @@ class Screen:
     def _pump(self) -> None:
         """Writes what the tty takes without being waited for, or a piece of it if it must be."""
         while self._rest:
-            now, part = time.monotonic(), len(self._rest[0])
+            now = time.monotonic()
+            if now < self._held_until:
+                return
+            part = int(max(PIECE, min(len(self._rest[0]), self.link.room(now))))
             if self.max_rate:
-                if now < self._free_at:
-                    return
-                part = max(PIECE, int(self.max_rate * BURST_SECONDS))
+                part = min(part, max(PIECE, int(self.max_rate * BURST_SECONDS)))
             first = self._rest.popleft()
             if self._patient is not None:
                 taken = device.write_some(self._patient, first[:part])
@@ -338,8 +372,14 @@ class Screen:
                 self._rest.appendleft(first[taken:])
             if not taken:
                 return
+            self.link.wrote(now, taken)
             if self.max_rate:
                 self._free_at = max(self._free_at, now - BURST_SECONDS) + taken / self.max_rate
+
+    @property
+    def _held_until(self) -> float:
+        """When more may be written, in monotonic s."""
+        return max(self._free_at, self.link.opens)
 
     def abandon(self) -> bool:
         """Ends the frame that is being written where it is. False if all is written already.
@@ -348,10 +388,9 @@ class Screen:
         """
         if not self._rest:
             return False
-        left = sum(len(part) for part in self._rest)
         self._rest.clear()
-        self._size = max(0, self._size - left)
-        self._send(STRING_END + END_UPDATE + PLAIN + STATUS_REPORT * (self._unanswered > 0))
+        asked = self.link.cut()  # else its question has been sent
+        self._send(STRING_END + END_UPDATE + PLAIN + STATUS_REPORT * asked)
         return True
 
     def post(self, event: Event) -> None:
@@ -379,11 +418,12 @@ class Screen:
         if not track:
             self._send(data)
         elif self._answering:
-            self._unanswered, self._sent, self._size = self._unanswered + 1, now, len(data)
-            self._begun = now
+            self._unanswered, self._sent, self._to_tell = self._unanswered + 1, now, True
             # tmux would answer at once, however far behind the terminal around it is
             through = self.terminal.kitty and self.terminal.around
-            self._send(data + (through_tmux(STATUS_REPORT) if through else STATUS_REPORT))
+            data += through_tmux(STATUS_REPORT) if through else STATUS_REPORT
+            self.link.begin(now, len(data), sum(map(len, self._rest)))
+            self._send(data)
         else:
             self._queue.append(Event("ready"))
             self._send(data)
@@ -392,13 +432,27 @@ class Screen:
 
     @property
     def busy(self) -> bool:
-        """Whether a tracked frame is still on its way: sending more would only queue up."""
-        waits = self._unanswered > 0 and time.monotonic() < self._sent + self._limit
-        return waits or bool(self._rest)
+        """Whether a tracked frame sent now would only queue up behind those on their way."""
+        return bool(self._rest) or self._free_in > 0
+
+    @property
+    def waiting(self) -> bool:
+        """Whether any tracked frame is to be answered yet."""
+        return self._unanswered > 0
+
+    @property
+    def _free_in(self) -> float:
+        """Seconds until those on their way do not matter any more, at most."""
+        if not self._unanswered:
+            return 0.0
+        now = time.monotonic()
+        return max(0.0, min(self._sent + self._limit - now, self.link.wait(now)))
 
     @property
     def _limit(self) -> float:
-        return PATIENCE_SECONDS if self._answered else FRAME_SECONDS
+        if self._answered:
+            return PATIENCE_SECONDS
+        return FRAME_SECONDS + self.link.under_way / SLOWEST
 
     # --- input
 
@@ -424,11 +478,13 @@ class Screen:
         ends = [t for t in (end, self._nudge_at) if t is not None]
         if self._unanswered:
             ends.append(self._sent + self._limit)
+            if self._to_tell and not self._rest:
+                ends.append(time.monotonic() + self._free_in)
         if self._decoder.pending:
             ends.append(self._heard + ESCAPE_SECONDS)
-        held_back = bool(self._rest) and time.monotonic() < self._free_at
+        held_back = bool(self._rest) and time.monotonic() < self._held_until
         if held_back:
-            ends.append(self._free_at)
+            ends.append(self._held_until)
         writable = [self._writable] if self._rest and not held_back else []
         limit = max(0.0, min(ends) - time.monotonic()) if ends else None
         wake = self._wake[0] if self._wake is not None else self._in
@@ -449,14 +505,18 @@ class Screen:
                 data = os.read(self._in, READ_SIZE)
                 if not data:
                     raise Terminated(signal.SIGHUP)
-                self._heard = time.monotonic()
+                self._heard, facts = time.monotonic(), self.terminal
+                cell = facts.cell_width, facts.cell_height
+                self._decoder.cell = cell if PIXELS in self._on else None
                 self._take_in(self._decoder.feed(data))
         if self.watched in readable:
             self._queue.append(Event("watched"))
 
     def _take_in(self, events: list[Event]) -> None:
         for event in events:
-            if event.kind != "ready":
+            if event.kind == "resize":
+                self._take_size(event)
+            elif event.kind != "ready":
                 self._queue.append(event)
             elif self._overdue:
                 self._overdue -= 1  # of a frame given up: it is slow, but it answers
@@ -465,8 +525,10 @@ class Screen:
             elif self._unanswered:
                 self._unanswered, self._given_up = self._unanswered - 1, 0
                 self._answered = True
-                if not self._unanswered:
-                    self.flight = Flight(self._size, self._heard - self._begun)
+                if flight := self.link.answered(self._heard):
+                    self.flights.append(flight)
+                if not self.busy:
+                    self._to_tell = False
                     self._queue.append(event)
         if answers := bytes(self._decoder.answers):
             self._decoder.answers.clear()
@@ -477,8 +539,17 @@ class Screen:
                     self._understand()
                     self._queue.append(Event("terminal"))
 
+    def _take_size(self, told: Event) -> None:
+        """A size told in-band, if it is one, and news: SIGWINCH may have been here before."""
+        assert told.size is not None
+        facts, self.terminal = self.terminal, told_size(self.terminal, told.size)
+        if self.terminal != facts:
+            self._queue.append(told)
+
     def _on_time(self) -> None:
         now = time.monotonic()
+        if self._on != self._wanted() and not self._rest:  # late answers; never amid a frame
+            self.write(self._switched())
         if self._decoder.pending and now >= self._heard + ESCAPE_SECONDS:
             self._queue += self._decoder.flush()
             self._heard = now
@@ -486,6 +557,11 @@ class Screen:
             self._overdue, self._unanswered = self._overdue + self._unanswered, 0
             self._given_up += 1
             self._answering = self._given_up < GIVE_UPS
+            self.link.lost()
+            self._to_tell = False
+            self._queue.append(Event("ready"))
+        elif self._to_tell and not self.busy:
+            self._to_tell = False
             self._queue.append(Event("ready"))
         if self._nudge_at is not None and now >= self._nudge_at:
             self._nudge_at = None
@@ -501,4 +577,6 @@ class Screen:
             self._rest.clear()
             self._again()
         elif signal.SIGWINCH in noted:
-            self._resize()
+            size = device.window_size(self._out)
+            if SIZES not in self._on or resized(self.terminal, size) != self.terminal:
+                self._resize()

@@ -72,13 +72,13 @@ class _Canvas:
     def __init__(self) -> None:
         self.pixels: NDArray[np.int16] = np.empty((0, 0, 3), np.int16)
 
-    def paint(self, picture: NDArray[np.integer]) -> None:
-        """Pixels of ``NOT_DRAWN`` keep what is there."""
-        height = max(len(self.pixels), len(picture))
+    def paint(self, picture: NDArray[np.integer], top: int = 0) -> None:
+        """From row ``top`` on; pixels of ``NOT_DRAWN`` keep what is there."""
+        height = max(len(self.pixels), top + len(picture))
         width = max(self.pixels.shape[1], picture.shape[1])
         grown = np.full((height, width, 3), NOT_DRAWN, np.int16)
         grown[: len(self.pixels), : self.pixels.shape[1]] = self.pixels
-        part = grown[: len(picture), : picture.shape[1]]
+        part = grown[top : top + len(picture), : picture.shape[1]]
         part[...] = np.where(picture == NOT_DRAWN, part, picture)
         self.pixels = grown
 
@@ -362,16 +362,36 @@ def sixel_percent(body: bytes, terminal: Terminal, faults: list[str]) -> NDArray
 
 
 def sixel(data: bytes, terminal: Terminal) -> Decoded:
-    """Sixel pictures painted over each other, a percent being 2.55 levels.
+    """Sixel pictures painted over each other, each from the cursor's cell on; a percent is 2.55 levels.
 
-    Registers are private to a picture: some terminals keep the last picture's, some do not.
+    Registers are private to a picture: some terminals keep the last picture's, some do not. A
+    picture that is drawn over a part of another must end with a cell and a band, or with that
+    other: a terminal may take away all of a cell, or draw all of a band.
     """
     faults: list[str] = []
     canvas = _Canvas()
-    for token in _strings(data, b"P", "sixel pictures"):
+    row = 0
+    for token in tokens(data):
+        if token.kind == "csi":
+            if token.body.endswith(b"H"):
+                row, column = ([n or 1 for n in numbers(token.body[:-1])] + [1, 1])[:2]
+                if column != 1:
+                    faults.append("a sixel picture that does not begin in the first column")
+                row -= 1
+            continue
+        if token.kind != "string" or not token.body.startswith(b"P"):
+            raise ContractError(f"between sixel pictures: {token.kind} {token.body[:20]!r}")
         percent = sixel_percent(token.body[1:], terminal, faults)
-        levels = np.where(percent == NOT_DRAWN, NOT_DRAWN, np.rint(percent * 2.55))
-        canvas.paint(levels.astype(np.int16))
+        shown = np.where(percent == NOT_DRAWN, NOT_DRAWN, np.rint(percent * 2.55))
+        top = row * terminal.cell_height
+        end = top + len(shown)
+        if top != int(top):
+            faults.append(f"a picture from px {top} on, and cells of {terminal.cell_height} px")
+        if end < len(canvas.pixels) and (end % terminal.cell_height or len(shown) % SIXEL_BAND):
+            faults.append(
+                f"a picture within another that ends in the middle of a cell, at {end} px"
+            )
+        canvas.paint(shown.astype(np.int16), int(top))
     return canvas.shown(terminal, faults)
 
 

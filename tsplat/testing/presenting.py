@@ -22,7 +22,9 @@ With a decoder, which reads the bytes as a terminal would:
 - changes: bytes for a screen that shows another frame lead to this one as well;
 - fill, of a presenter that offers it: a frame of fewer pixels is shown as large as one of
   ``size``, the middle of each of its pixels in its colour, whatever was shown before; and what
-  ``controls``, ``pure`` and ``rounding`` say holds for it, too.
+  ``controls``, ``pure`` and ``rounding`` say holds for it, too;
+- rest, of a presenter that offers it: what ``encode`` promises holds for a picture that stays,
+  whatever was shown before, that frame too, and for the frame that follows.
 
 Not checked: whether a real terminal agrees with the decoder, and how long encoding takes.
 """
@@ -77,6 +79,7 @@ class Decoding:
 
     decode: Decoder
     bound: Callable[[Terminal], Bound] = _exactly
+    rest: Callable[[Terminal], Bound] | None = None  # of a picture that stays; None: the same
 
 
 def _halfblock_bound(terminal: Terminal) -> Bound:
@@ -106,18 +109,29 @@ def _letters_bound(terminal: Terminal) -> Bound:
 
 def _sixel_bound(terminal: Terminal) -> Bound:
     """Percent: 2.55 levels a step, and two roundings. Smooth pictures need more registers."""
-    return Bound(4, 2, 34.0 if terminal.sixel_registers >= 256 else 24.0)
+    enough = 29.0 if terminal.remote else 34.0
+    return Bound(4, 2, enough if terminal.sixel_registers >= 256 else 24.0)
+
+
+def _sixel_rest(terminal: Terminal) -> Bound:
+    """The same near by and far away."""
+    return _sixel_bound(replace(terminal, remote=False))
 
 
 def _jpeg_bound(terminal: Terminal) -> Bound:
-    """Of one colour, all but rounding; smooth pictures as quality 85 has them."""
+    """Of one colour, all but rounding; smooth pictures as quality 75 has them."""
     return Bound(1, 3, 34.0)
+
+
+def _iterm2_rest(terminal: Terminal) -> Bound:
+    """Exact, or over a network a better JPEG."""
+    return Bound(1, 3, 38.0) if terminal.remote else EXACT
 
 
 DECODINGS = {
     "kitty": Decoding(decoders.kitty),
-    "iterm2": Decoding(decoders.iterm2, _jpeg_bound),
-    "sixel": Decoding(decoders.sixel, _sixel_bound),
+    "iterm2": Decoding(decoders.iterm2, _jpeg_bound, _iterm2_rest),
+    "sixel": Decoding(decoders.sixel, _sixel_bound, _sixel_rest),
     "blocks": Decoding(decoders.blocks, _blocks_bound),
     "halfblock": Decoding(decoders.halfblock, _halfblock_bound),
     "braille": Decoding(decoders.braille, _braille_bound),
@@ -143,6 +157,7 @@ def terminals(draw: st.DrawFn) -> Terminal:
         glyphs=draw(st.sampled_from(("halves", "quadrants", "sextants", "octants"))),
         draws_blocks=True,
         synchronized=True,
+        remote=draw(st.booleans()),
         name=draw(st.sampled_from(("", "Konsole 26.08.2", "kitty(0.48.2)"))),
     )
 
@@ -453,6 +468,31 @@ def check_fill(presenter: Presenter, decoding: Decoding, case: Showing) -> Verdi
     return Verdict("fill", tuple(dict.fromkeys(faults)))
 
 
+def check_rest(presenter: Presenter, decoding: Decoding, case: Showing) -> Verdict:
+    """See the module."""
+    if presenter.rest is None:
+        return Verdict("rest", ())
+    rest, terminal = presenter.rest, case.terminal
+    # What is known of the screen is nothing to a picture that comes whole
+    resting = replace(presenter, encode=lambda frame, terminal, _: rest(frame, terminal), rest=None)
+    faults: list[str] = []
+    for name in ("controls", "pure", "rounding"):
+        faults += BYTES_ALONE[name](resting, case).faults
+    at_rest = replace(decoding, bound=decoding.rest or decoding.bound)
+    for before in (None, case.before, case.frame):
+        data = b"" if before is None else presenter.encode(before, terminal, None)
+        data += HOME + rest(case.frame, terminal)
+        shown = decoded(decoding.decode, data, terminal)
+        if shown.picture.shape != (case.frame.height, case.frame.width, 3):
+            faults.append(f"shown are {list(shown.picture.shape)}")
+        faults += (*shown.faults, *_judge("rest", at_rest, case, shown).faults)
+    moved = replace(case, frame=case.before, kind="noise")
+    data += HOME + presenter.encode(case.before, terminal, case.frame)
+    shown = decoded(decoding.decode, data, terminal)
+    faults += (f"the next frame: {f}" for f in _judge("rest", decoding, moved, shown).faults)
+    return Verdict("rest", tuple(dict.fromkeys(faults)))
+
+
 _WAYS: dict[str, Callable[[U8], U8]] = {
     "mirrored": lambda p: p[:, ::-1],
     "upside down": lambda p: p[::-1],
@@ -510,6 +550,7 @@ DECODED = {
     "picture": check_picture,
     "changes": check_changes,
     "fill": check_fill,
+    "rest": check_rest,
 }
 
 
@@ -519,7 +560,8 @@ def presenter_checks(
     max_examples: int = 100,
     screens: st.SearchStrategy[Terminal] | None = None,
 ) -> list[Check]:
-    """The checks of ``presenter``: four, or eight with a decoder of its bytes; one for ``fill``.
+    """The checks of ``presenter``: four, or eight with a decoder of its bytes; one more for ``fill``
+    and one for ``rest``.
 
     ``decode`` alone promises the frame's 8-bit picture exactly; :class:`Decoding` states another
     bound. The built-in presenters' are :data:`DECODINGS`, and whoever uses such a protocol may take
@@ -535,8 +577,9 @@ def presenter_checks(
         return lambda case: DECODED[name](presenter, decoding, case)
 
     names = [*BYTES_ALONE, *(DECODED if decoding is not None else ())]
-    if presenter.fill is None and decoding is not None:
-        names.remove("fill")
+    for name in ("fill", "rest"):
+        if getattr(presenter, name) is None and decoding is not None:
+            names.remove(name)
     for name in names:
         functions[name] = bind(name)
 

@@ -9,30 +9,40 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from tsplat.core.camera import Camera
-from tsplat.core.errors import PluginError, printable
-from tsplat.core.params import settings_text
-from tsplat.core.types import Frame, Scene
-from tsplat.core.workspace import Workspace
-from tsplat.plan import Plan, Rendered
-from tsplat.presenters.base import Presenter, Terminal
+from tsplat.core.errors import CameraError, PluginError, printable
+from tsplat.core.types import Frame
+from tsplat.plan import Rendered
+from tsplat.plugins import ask
+from tsplat.presenters.base import Presenter, Terminal, changed, pixels
 from tsplat.presenters.enlarge import enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
-from tsplat.viewer.controls import View
+from tsplat.viewer.controls import View, moves
+from tsplat.viewer.engine import Engine, Prepared
+from tsplat.viewer.figures import Shown, figures, status
+from tsplat.viewer.held import Held
+from tsplat.viewer.keep import Keeper, Recording
+from tsplat.viewer.layout import Area, layout
 from tsplat.viewer.pace import Pace
+from tsplat.viewer.panel import Panel, placed
+from tsplat.viewer.pick import point_under
 from tsplat.viewer.pipeline import Pipeline
-from tsplat.viewer.text import help_page, status_line
+from tsplat.viewer.settings import Facts
+from tsplat.viewer.text import help_page, help_top, status_line
+from tsplat.views import frame_orbit
 
 if TYPE_CHECKING:
     from tsplat.viewer.verify import Verifier
 
-FPS = 30.0
 STILL_SECONDS = 0.08  # without a move the picture is refined; keys held down repeat faster
 FPS_SECONDS = 1.0  # that frames are counted over
+NOTICE_SECONDS = 5.0  # that words stay in the status line
+FIRST_SECONDS = 0.008  # of a held key that its first picture shows
+FIGURE_SECONDS = 0.25  # between figures while the picture moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +55,8 @@ class Picture:
     terminal: Terminal
     presenter: Presenter
     begun: float  # s, monotonic
+    heard: float | None = None  # s, when the input came that this is the first picture of
+    rests: bool = False  # nothing moves: as good as the presenter can
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +67,7 @@ class Drawn:
     camera: Camera
     frame: Frame  # as it is encoded: on its background, as large as encode wants it
     rendered: Rendered  # its frame only where it is verified
+    prepared: Prepared
     seconds: float
 
 
@@ -66,47 +79,78 @@ class Encoded:
     seconds: float
 
 
+@dataclass(frozen=True)
+class Around:
+    """What a session has besides a screen and a scene."""
+
+    presenters: Mapping[str, Presenter]
+    backends: Sequence[str]  # that can be used here, the fastest first
+    keeper: Keeper
+    cameras: Callable[[], Sequence[Camera]]  # of the scene's file; CameraError if there is none
+    verifier: Verifier | None = None
+
+
+@dataclass
+class _Heads:
+    """What is written about the picture, as it is on the screen now."""
+
+    notice: str = ""
+    until: float = 0.0  # s, monotonic, that the notice stays
+    shown: Shown | None = None
+    figures: Sequence[tuple[str, str]] = ()
+    figured: float = 0.0  # s, monotonic
+    lines: list[bytes] = field(default_factory=list)  # of the panel
+    told: str = ""  # the verifier's words
+
+
 class Viewer:
-    """One session: a scene, its plan, a screen that is already entered, a pipeline not started."""
+    """One session: an engine, a screen that is already entered, a pipeline not started."""
 
     def __init__(
         self,
         screen: Screen,
-        scene: Scene,
-        plan: Plan,
+        engine: Engine,
         view: View,
-        presenters: Mapping[str, Presenter],
-        wanted: str = "auto",
-        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        verifier: Verifier | None = None,
+        around: Around,
         *,
         pipeline: Pipeline[Picture, Drawn, Encoded],
-        fps: float = FPS,
     ) -> None:
-        self._screen, self._scene, self._plan, self._view = screen, scene, plan, view
-        self._presenters, self._wanted = dict(presenters), wanted
-        self._background, self._fps = background, fps
-        self._verifier = verifier
-        screen.watched = verifier.fileno() if verifier else None
-        self._line = ""  # the status line's words for the frame on the screen
-        self._told = ""  # the verifier's words in it
-        self._workspace = Workspace(plan.threads)
+        self._screen, self._engine, self._view, self._around = screen, engine, view, around
+        self._verified = view.look  # what the verifier compares with
+        screen.watched = around.verifier.fileno() if around.verifier else None
         self._pipeline = pipeline
         self._asked: Picture | None = None  # last
-        self._sent: tuple[Drawn, Encoded] | None = None  # last, to be acknowledged
+        # On their way, to be acknowledged in this order; None: abandoned, or no picture
+        self._sent: deque[tuple[Drawn, Encoded] | None] = deque()
+        self._heads = _Heads()
+        self._panel, self._help_top = Panel(), 0
         self._helping = False  # the help page is on the screen
         self._lead = b""  # to be written before the next frame
+        self._held = Held()
+        self._heard: float | None = None  # when input came that no picture shows yet
+        self._latency: float | None = None  # s, from the last input to its picture
+        self._recording: Recording | None = None
+        self._place = -1  # in the file of cameras
         self._clock = self._moved = time.monotonic()
         self._moved -= STILL_SECONDS
         self._frames: deque[float] = deque()  # when the last ones were shown
         self._choose()
 
     def _choose(self) -> None:
-        terminal = self._screen.terminal
-        self._presenter, _ = choose_presenter(self._presenters, terminal, self._wanted)
-        self._screen.cleanup = self._presenter.clear(terminal)
-        self._pace = Pace(self._presenter.size(terminal), self._fps)
-        self._asked = self._sent = None
+        screen, look = self._screen, self._view.look
+        self._presenter, self._why = choose_presenter(
+            dict(self._around.presenters), screen.terminal, look.presenter
+        )
+        screen.cleanup = self._presenter.clear(screen.terminal)
+        screen.max_rate = look.max_rate / 8 if look.max_rate else None
+        self._layout = layout(screen.terminal, self._view.settings)
+        self._terminal = self._layout.picture or screen.terminal
+        fps = min(look.fps, self._presenter.fps(screen.terminal))
+        size = self._presenter.size(self._terminal)
+        self._pace = Pace(size, fps, far=screen.terminal.remote)
+        self._asked = None
+        self._sent = deque(None for _ in self._sent)
+        self._heads.lines = []
 
     def run(self) -> None:
         """Until the user quits."""
@@ -117,133 +161,314 @@ class Viewer:
                 for event in screen.read_events(self._timeout()):
                     self._hear(event)
                 if not self._view.quit:
+                    self._acknowledged()
                     self._show()
                     self._want()
                     self._verify()
+                    self._settle()
         finally:
             self._pipeline.close()
+            if self._recording is not None:
+                self._around.keeper.path(self._recording, self._engine.name)
 
     # --- what happens
 
     def _hear(self, event: Event) -> None:
-        screen, before = self._screen, self._view
-        if event.kind == "key" and event.key == "ctrl+z":
+        screen = self._screen
+        if event.kind == "key" and event.key == "ctrl+z" and event.action == "press":
+            self._held = Held()
             screen.suspend()
         elif event.kind in ("resize", "terminal"):
             self._redraw_all()
         elif event.kind == "watched":
             self._receive()
-        elif event.kind == "ready":
-            self._acknowledged()
+        elif event.kind == "kept":
+            self._notify(event.key)
+        elif event.kind in ("key", "mouse", "focus"):
+            self._advance()
+            self._use(event)
+
+    def _use(self, event: Event) -> None:
+        """Input."""
+        before, now = self._view, time.monotonic()
+        if before.help and self._turned_help(event):
+            return
+        taken = None
+        if self._layout.panel is not None and not before.help and event.action != "release":
+            taken = self._panel.after(event, before, self._facts(), self._layout.panel)
+        if taken is not None:
+            self._panel, self._view = taken
         else:
-            self._view = before.after(event, screen.terminal)
-        if self._view.orbit is not before.orbit:
+            self._held = self._held.after(event, now)
+            self._view = before.after(event, self._terminal)
+        if self._holding or self._view.moves_from(before):
+            self._heard = self._heard or now
+        if self._view.wish:
+            wish, self._view = self._view.wish, replace(self._view, wish="")
+            self._grant(wish)
+        self._changed(before)
+
+    def _turned_help(self, event: Event) -> bool:
+        """Whether ``event`` turned a page that is longer than the screen."""
+        by = {"up": -1, "down": 1, "pageup": -8, "pagedown": 8}.get(event.key or event.button)
+        if by is None or event.action == "release":
+            return False
+        top = help_top(self._help_top + by, self._screen.terminal)
+        if top != self._help_top:
+            self._help_top = top
+            self._screen.draw(help_page(self._screen.terminal, top), track=False)
+        return help_top(1, self._screen.terminal) > 0
+
+    def _changed(self, before: View) -> None:
+        """Sees to what follows from another view than ``before``."""
+        view = self._view
+        if view.look.presenter != before.look.presenter or view.settings != before.settings:
+            self._redraw_all()
+        elif view.look != before.look:
+            self._screen.max_rate = view.look.max_rate / 8 if view.look.max_rate else None
+            self._pace.period = 1 / min(view.look.fps, self._presenter.fps(self._screen.terminal))
+        if view.moves_from(before):
             self._moved = time.monotonic()
             self._hurry()
+        if view.status != before.status or self._layout.panel is not None:
+            self._tell()
 
     def _hurry(self) -> None:
         """A move: a picture that is being refined is in its way, even half written."""
         asked = self._asked
-        if asked is None or asked.level >= self._pace.level:
+        if asked is None or (asked.level >= self._pace.level and not asked.rests):
             return
         self._pipeline.drop()
-        if self._sent is not None and self._sent[0].picture is asked and self._screen.abandon():
+        last = self._sent[-1] if self._sent else None
+        if last is not None and last[0].picture is asked and self._screen.abandon():
             self._pipeline.forget()
-            self._sent = None  # its flight tells nothing
+            self._sent[-1] = None  # its flight tells nothing
             self._lead = self._presenter.clear(self._screen.terminal)
 
     def _redraw_all(self) -> None:
         """Nothing on the screen can be trusted any more."""
+        self._held = Held()
         self._pipeline.forget()
         self._screen.abandon()
         self._screen.draw(self._presenter.clear(self._screen.terminal), track=False)
         self._screen.clear()
         self._helping, self._lead = False, b""
         self._choose()
+        self._tell()
 
     def _acknowledged(self) -> None:
-        """The frame sent last is on the screen."""
-        flight, self._screen.flight = self._screen.flight, None
-        sent, self._sent = self._sent, None
-        if sent is None or not sent[1].payload:  # what has not changed takes no time
+        """What the terminal has answered is on the screen."""
+        flights = self._screen.flights
+        while self._sent and (flights or not self._screen.waiting):
+            # a terminal that answers nothing has none
+            flight = flights.popleft() if flights else None
+            sent = self._sent.popleft()
+            if sent is None or not sent[1].payload:  # what has not changed takes no time
+                continue
+            drawn, encoded = sent
+            if drawn.picture.heard is not None:
+                self._latency = time.monotonic() - drawn.picture.heard
+            if drawn.picture.rests:  # tells nothing of moving ones
+                continue
+            flight = flight or Flight(len(encoded.payload), 0.0, 0.0)
+            self._pace.note(
+                drawn.picture.level, drawn.seconds, encoded.seconds, flight.occupied, flight.sent,
+                flight.seconds,
+            )  # fmt: skip
+        flights.clear()
+
+    # --- wishes
+
+    def _grant(self, wish: str) -> None:
+        """What takes more than the view."""
+        verb, _, what = wish.partition(" ")
+        if verb in ("next", "presenter", "camera", "backend"):
+            kind, by = (what, 1) if verb == "next" else (verb, -1)
+            self._next_camera(by) if kind == "camera" else self._next_name(kind, by)
+        elif wish == "everything":
+            self._frame_all()
+        elif wish == "under":
+            self._frame_under()
+        elif wish == "picture":
+            self._keep_picture()
+        elif wish == "record":
+            self._record()
+
+    def _next_camera(self, by: int) -> None:
+        try:
+            cameras = self._around.cameras()
+        except CameraError as error:
+            self._notify(str(error))
             return
-        drawn, encoded = sent
-        flight = flight or Flight(len(encoded.payload), 0.0)  # a terminal that answers nothing
-        self._pace.note(
-            drawn.picture.level, drawn.seconds, encoded.seconds, flight.seconds, flight.sent
-        )
+        first = self._place < 0
+        self._place = 0 if first and by > 0 else (max(self._place, 0) + by) % len(cameras)
+        self._view = self._view.at(cameras[self._place])
+        self._notify(f"camera {self._place} of {len(cameras)}")
+
+    def _next_name(self, kind: str, by: int) -> None:
+        """The presenter or backend after the one in use, or before it."""
+        facts = self._facts()
+        names = facts.presenters if kind == "presenter" else facts.backends
+        now = getattr(self._view.look, kind)
+        if now == "auto":
+            now = self._presenter.name if kind == "presenter" else names[0] if names else now
+        place = names.index(now) if now in names else 0
+        name = names[(place + by) % len(names)] if names else now
+        self._view = self._view.looking(**{kind: name})
+        self._notify(f"{kind} {name}")
+
+    def _frame_all(self) -> None:
+        view, (width, height) = self._view, self._terminal.pixels
+        orbit = frame_orbit(
+            self._engine.scene, width, height, view.fov, view.orbit.up,
+            yaw=view.orbit.yaw, pitch=view.orbit.pitch,
+        )  # fmt: skip
+        self._view = view.to(orbit)
+
+    def _frame_under(self) -> None:
+        view, terminal = self._view, self._terminal
+        width, height = terminal.pixels
+        x, y = width / 2, height / 2
+        if view.cursor is not None:
+            x = (view.cursor[0] + 0.5) * terminal.cell_width
+            y = (view.cursor[1] + 0.5) * terminal.cell_height
+        camera = view.camera((width, height), (1.0, 1.0))
+        point = point_under(self._engine.prepared_last, camera, x, y)
+        if point is None:
+            self._notify("nothing there")
+        else:
+            self._view = view.approaching(point)
+
+    def _keep_picture(self) -> None:
+        view, screen = self._view, self._screen
+        size = view.look.picture or self._terminal.pixels
+        camera = view.camera(size, (1.0, 1.0))
+        self._notify("keeping a picture")
+        self._around.keeper.picture(
+            view, camera, self._engine.prepared_last,
+            lambda words: screen.post(Event("kept", words)),
+        )  # fmt: skip
+
+    def _record(self) -> None:
+        if self._recording is None:
+            self._recording = Recording()
+            self._notify("recording the camera's path; V keeps it")
+        else:
+            recording, self._recording = self._recording, None
+            self._notify(self._around.keeper.path(recording, self._engine.name))
 
     # --- what is wanted
 
     @property
     def _moving(self) -> bool:
-        return self._view.spinning or time.monotonic() < self._moved + STILL_SECONDS
+        now = time.monotonic()
+        return self._view.going or self._holding or now < self._moved + STILL_SECONDS
+
+    @property
+    def _holding(self) -> bool:
+        return any(moves(key) for key in self._held.down(time.monotonic()))
+
+    @property
+    def _covered(self) -> bool:
+        """Whether there is no place for a picture."""
+        return self._view.help or self._layout.picture is None
 
     def _level(self) -> int | None:
         """Of the picture that is wanted now; None if it is there or on its way."""
         asked, view = self._asked, self._view
-        if view.help:
+        if self._covered:
             return None
-        if asked is None:
+        if asked is None or view.going or view.moves_from(asked.view):
             return self._pace.level
-        if view.spinning or view.orbit is not asked.view.orbit:
-            return self._pace.level
-        if view is not asked.view:
-            return asked.level
         if self._moving or self._pipeline.busy or self._screen.busy:
             return None
+        if asked.level == 0 and self._presenter.rest is not None and not asked.rests:
+            return 0
         return self._pace.finer(asked.level)
 
     def _due(self, level: int) -> float:
         """When the next picture may be begun, in monotonic s."""
         asked = self._asked
-        if asked is None or not (self._pipeline.busy or self._screen.busy or self._view.spinning):
+        if asked is None or not (self._pipeline.busy or self._screen.busy or self._view.going):
             return 0.0
         return asked.begun + self._pace.interval(level)
 
     def _timeout(self) -> float | None:
         """Seconds until there is something to do without an event; idle costs nothing."""
         now, level = time.monotonic(), self._level()
+        ends = [self._heads.until] if self._heads.notice else []
         if level is not None:
-            return max(0.0, self._due(level) - now)
-        if self._view.help or self._pipeline.busy or self._screen.busy:
-            return None  # an event comes
-        if self._moving:
-            return max(0.0, self._moved + STILL_SECONDS - now)
-        return self._verifier.wait() if self._verifier else None
+            ends.append(self._due(level))
+        elif self._holding and not self._covered:
+            ends.append(now + FIRST_SECONDS)
+        elif self._covered or self._pipeline.busy or self._screen.busy:
+            pass  # an event comes
+        elif self._moving:
+            ends.append(self._moved + STILL_SECONDS)
+        elif self._around.verifier and (wait := self._around.verifier.wait()) is not None:
+            ends.append(now + wait)
+        return max(0.0, min(ends) - now) if ends else None
+
+    def _advance(self) -> None:
+        """The view as it is by now: what goes by itself, and keys that are held."""
+        before, then, now = self._view, self._clock, time.monotonic()
+        self._clock = now
+        if self._recording is not None:
+            self._record_pose(then)
+        view = before.spun(now - then)
+        if not view.help:
+            view = view.moved(self._held.active(then, now))
+        self._view = view
+        if self._recording is not None:
+            self._record_pose(now)
+        if view.moves_from(before):
+            self._moved = now
+            if not before.going:
+                self._hurry()
+
+    def _record_pose(self, now: float) -> None:
+        assert self._recording is not None
+        camera = self._view.camera(self._terminal.pixels, (1.0, 1.0))
+        self._recording.add(now, camera)
 
     def _want(self) -> None:
         """Asks for the next picture, if it is time."""
-        now = time.monotonic()
-        elapsed, self._clock = now - self._clock, now
-        self._view = self._view.spun(elapsed)
-        level = self._level()
+        self._advance()
+        level, now = self._level(), time.monotonic()
         if level is None or now < self._due(level):
             return
+        fresh = self._asked is None or self._view.moves_from(self._asked.view)
+        heard = self._heard if fresh else None
+        self._heard = None if fresh else self._heard
+        rests = level == 0 and self._presenter.rest is not None and not self._moving
         self._asked = Picture(
-            self._view, level, self._pace.size(level), self._screen.terminal, self._presenter, now
-        )
+            self._view, level, self._pace.size(level), self._terminal, self._presenter, now, heard,
+            rests,
+        )  # fmt: skip
         self._pipeline.ask(self._asked)
 
     # --- the pipeline's threads
 
     def _render(self, picture: Picture) -> Drawn:
         begin = time.perf_counter()
+        look = picture.view.look
         full = picture.presenter.size(picture.terminal)
         pixel = picture.presenter.pixel(picture.terminal)
         camera = picture.view.camera(full, pixel).resized(*picture.size)
-        rendered = self._plan.run(self._scene, camera, self._workspace)
-        frame = rendered.frame.over(self._background)
+        prepared = self._engine.prepared(look)
+        rendered = prepared.plan.run(prepared.scene, camera, self._engine.workspace)
+        frame = rendered.frame.over(look.background)
         if picture.presenter.fill is None and picture.size != full:
             frame = enlarged(frame, *full)
         elif frame.rgb is rendered.frame.rgb:
             frame = Frame(frame.rgb.copy(), frame.transmittance)
         kept = rendered.frame
-        if self._verifier is not None:
+        if self._around.verifier is not None:
             kept = Frame(kept.rgb.copy(), kept.transmittance.copy())
         return Drawn(
-            picture, camera, frame, replace(rendered, frame=kept), time.perf_counter() - begin
-        )
+            picture, camera, frame, replace(rendered, frame=kept), prepared,
+            time.perf_counter() - begin,
+        )  # fmt: skip
 
     def _encode(self, drawn: Drawn, before: Drawn | None) -> Encoded:
         begin = time.perf_counter()
@@ -252,7 +477,15 @@ class Viewer:
         few = presenter.fill is not None and picture.size != presenter.size(terminal)
         encode = presenter.fill if few and presenter.fill is not None else presenter.encode
         try:
-            payload = encode(drawn.frame, terminal, before.frame if before else None)
+            if picture.rests and presenter.rest is not None:
+                same = (
+                    before is not None
+                    and before.picture.rests
+                    and not changed(pixels(drawn.frame), before.frame)
+                )
+                payload = b"" if same else presenter.rest(drawn.frame, terminal)
+            else:
+                payload = encode(drawn.frame, terminal, before.frame if before else None)
         except Exception as error:
             raise PluginError(
                 f"presenter {presenter.name!r} failed: "
@@ -270,10 +503,13 @@ class Viewer:
         if self._view.help:
             if not self._helping:
                 self._pipeline.forget()
-                self._helping, self._asked, self._sent = True, None, None
+                self._helping, self._asked, self._help_top = True, None, 0
+                self._sent.append(None)
                 clear = self._presenter.clear(screen.terminal)
                 screen.draw(clear + help_page(screen.terminal))
             return
+        if self._helping and self._layout.picture is None:
+            self._redraw_all()
         made = self._pipeline.take()
         if made is None:
             return
@@ -281,15 +517,37 @@ class Viewer:
         if self._helping:
             self._helping = False
             screen.clear()
+            self._heads.lines = []
         self._count()
-        view = drawn.picture.view
-        self._line = self._status(drawn, encoded)
-        status = self._status_line() if view.status else status_line("", screen.terminal)
+        if drawn.prepared.trouble not in ("", self._heads.notice):
+            self._notify(drawn.prepared.trouble)
+        self._heads.shown = self._of(drawn, encoded)
+        if drawn.picture.level == 0 or time.monotonic() > self._heads.figured + FIGURE_SECONDS:
+            self._figure()
         lead, self._lead = self._lead, b""
-        self._sent = made
-        screen.draw(lead + encoded.payload + status)
-        if self._verifier is not None:
-            self._verifier.show(drawn.camera, drawn.rendered.frame)
+        self._sent.append(made)
+        screen.draw(lead + encoded.payload + self._words())
+        if self._around.verifier is not None and drawn.prepared.look == self._verified:
+            self._around.verifier.show(drawn.camera, drawn.rendered.frame)
+
+    def _of(self, drawn: Drawn, encoded: Encoded) -> Shown:
+        span = self._frames[-1] - self._frames[0]
+        several = len(self._frames) > 3 and self._moving
+        return Shown(
+            scene=drawn.prepared.scene,
+            plan=drawn.prepared.plan,
+            look=drawn.prepared.look,
+            rendered=drawn.rendered,
+            presenter=drawn.picture.presenter.name,
+            size=drawn.picture.size,
+            full=self._pace.size(0),
+            camera=drawn.camera,
+            frames=(len(self._frames) - 1) / span if several and span else None,
+            encode=encoded.seconds,
+            sent=len(encoded.payload),
+            link=self._pace.link,
+            latency=self._latency,
+        )
 
     def _count(self) -> None:
         now = time.monotonic()
@@ -297,59 +555,78 @@ class Viewer:
         while self._frames[0] < now - FPS_SECONDS:
             self._frames.popleft()
 
-    def _status_line(self) -> bytes:
-        terminal, verifier = self._screen.terminal, self._verifier
-        if verifier is None:
-            return status_line(self._line, terminal)
-        self._told = verifier.text
-        words = "  ".join(words for words in (self._told, self._line) if words)
-        return status_line(words, terminal, alarm=verifier.broken > 0)
+    def _figure(self) -> None:
+        """Works out the panel's figures anew."""
+        heads, verifier = self._heads, self._around.verifier
+        if self._layout.panel is None:
+            return
+        heads.figured = time.monotonic()
+        found = verifier.text if verifier else ""
+        heads.figures = figures(heads.shown, self._screen.terminal, self._why, found)
 
-    def _status(self, drawn: Drawn, encoded: Encoded) -> str:
-        rendered, picture = drawn.rendered, drawn.picture
-        names = "+".join(dict.fromkeys(self._plan.backends.values()))
-        shortcuts = f"  {settings_text(self._plan.asked)}" if self._plan.shortcuts else ""
-        width, height = picture.size
-        full = "" if picture.level == 0 else "/{}x{}".format(*self._pace.size(0))
-        every = f" of {len(self._scene):,}" if rendered.visible < len(self._scene) else ""
-        span = self._frames[-1] - self._frames[0]
-        rate = f"  {(len(self._frames) - 1) / span:.0f} fps" if len(self._frames) > 2 else ""
-        link = self._pace.link
-        way = f"  {link.seconds * 1e3:.0f} ms {bits(link.rate)}" if link else ""
-        return (
-            f"{self._scene.name}  {rendered.visible:,}{every}{rate}  "
-            f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{self._plan.threads}{shortcuts}  "
-            f"{picture.presenter.name} {width}x{height}{full} "
-            f"{encoded.seconds * 1e3:.1f} ms {len(encoded.payload) / 1e3:.0f} kB{way}  ? keys"
-            + "".join(f"  without {item.what}" for item in rendered.left_out)
-        )
+    def _facts(self) -> Facts:
+        return Facts(
+            [name for name, row in self._around.presenters.items()
+             if not ask(row.unsupported, self._screen.terminal)],
+            self._around.backends,
+            {"presenter": self._presenter.name, "backend": self._engine.backends},
+            self._heads.figures,
+        )  # fmt: skip
+
+    def _words(self) -> bytes:
+        """Status line and panel, what of them has changed."""
+        return self._status() + self._panel_text(self._layout.panel)
+
+    def _status(self) -> bytes:
+        heads, terminal, verifier = self._heads, self._screen.terminal, self._around.verifier
+        notice = heads.notice
+        if not self._view.status:
+            return status_line([notice] if notice else [], terminal)
+        heads.told = verifier.text if verifier else ""
+        recording = "recording" if self._recording is not None else ""
+        words = [notice, recording, heads.told, *(status(heads.shown) if heads.shown else ())]
+        return status_line(words, terminal, alarm=verifier is not None and verifier.broken > 0)
+
+    def _panel_text(self, area: Area | None) -> bytes:
+        if area is None:
+            return b""
+        lines = self._panel.lines(self._view, self._facts(), area)
+        before, self._heads.lines = self._heads.lines, lines
+        return placed(lines, before, area)
+
+    def _notify(self, words: str) -> None:
+        """Words in the status line, for a while."""
+        self._heads.notice, self._heads.until = words, time.monotonic() + NOTICE_SECONDS
+        self._tell()
+
+    def _settle(self) -> None:
+        """A notice goes when it has been there long enough."""
+        if self._heads.notice and time.monotonic() >= self._heads.until:
+            self._heads.notice = ""
+            self._tell()
+
+    def _tell(self) -> None:
+        """Status line and panel anew, without a picture."""
+        if not self._view.help:
+            self._screen.draw(self._words(), track=False)
 
     # --- verification
 
     def _receive(self) -> None:
         """Takes what the verifier has found."""
-        if self._verifier is not None:
-            self._verifier.receive()
-            if self._verifier.failure:
+        verifier = self._around.verifier
+        if verifier is not None:
+            verifier.receive()
+            if verifier.failure:
                 self._screen.watched = None  # its end is all there is to read
 
     def _verify(self) -> None:
         """The next round, while nothing else is to be done."""
-        if self._verifier is None or self._pipeline.busy or self._screen.busy:
+        verifier = self._around.verifier
+        if verifier is None or self._pipeline.busy or self._screen.busy:
             return
         if self._level() is None:
-            self._verifier.step()
-            self._tell(self._verifier.text)
-
-    def _tell(self, found: str) -> None:
-        """The status line anew, if the verifier has something new for it."""
-        if found != self._told and self._view.status and not self._view.help:
-            self._screen.draw(self._status_line(), track=False)
-
-
-def bits(rate: float) -> str:
-    """Bytes/s as bits/s, as links are sold."""
-    for unit, size in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
-        if rate * 8 >= size:
-            return f"{rate * 8 / size:.3g} {unit}bit/s"
-    return f"{rate * 8:.0f} bit/s"
+            verifier.step()
+            if verifier.text != self._heads.told and self._view.status:
+                self._figure()
+                self._tell()

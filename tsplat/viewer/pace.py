@@ -1,10 +1,13 @@
 """How many pixels a moving picture has, and how often a new one is begun.
 
 A level is a share of the pixels each way. What a frame takes is remembered by level: of render,
-encode and flight (from the first byte written to the terminal's answer) the slowest, or half of
-all three if that is more. If it is no more than a frame's time, the stages keep up with each other,
-and a key's picture is there within three frames' time: one until the next frame is begun, two for
-the stages.
+encode and flight (how long it keeps the link busy) the slowest, or half of all three if that is
+more. If it is no more than a frame's time, the stages keep up with each other, and a key's picture
+is there within three frames' time, one until the next frame is begun, two for the stages; and the
+way there and back, which no level makes shorter.
+
+Where bytes are dear, levels beyond the coarsest that one likes to look at come in, but no more of
+them than a frame rate needs that still looks like motion.
 """
 
 from __future__ import annotations
@@ -16,7 +19,10 @@ from dataclasses import dataclass, field
 from statistics import median_low
 
 LEVELS = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125)
-SHORTEST = 32  # px: no level makes a side shorter that is not so already
+SHORTEST = 32  # px: none of them makes a side shorter that is not so already
+COARSER = (0.09375, 0.0625)  # with those LEVELS that SHORTEST leaves out: for dear bytes
+COARSER_SHORTEST = 8  # px
+SLOW = 0.1  # s; a frame that takes longer is no motion any more, and worth those
 PREVIEW = 80_000  # px of the first picture, when nothing is known of link and scene
 SAMPLES = 3  # of a level: their median counts, so that one hiccup does not
 STALE_SECONDS = 5.0  # for what was measured before: another view, another load
@@ -40,40 +46,59 @@ class Link:
     """How frames got to the terminal."""
 
     seconds: float  # a frame, until the terminal answered
-    rate: float  # bytes/s
+    rate: float  # bytes/s while the link was busy
 
 
 class Pace:
     """The level of moving pictures of ``size`` px, so that there are ``fps`` of them in a second.
 
-    0 is the full size. ``clock`` is in s.
+    0 is the full size. ``clock`` is in s. ``far``: a network is in between, so the first picture
+    is a small one.
     """
 
     def __init__(
-        self, size: tuple[int, int], fps: float, clock: Callable[[], float] = time.monotonic
+        self,
+        size: tuple[int, int],
+        fps: float,
+        clock: Callable[[], float] = time.monotonic,
+        far: bool = False,
     ) -> None:
         self.period, self._clock, self._size = 1 / fps, clock, size
-        shares = [s for s in LEVELS if s == 1 or min(size) * s >= SHORTEST]
-        self._shares = tuple(shares)
-        self._levels = [_Level(w * h) for w, h in map(self.size, range(len(shares)))]
-        self._link: deque[tuple[int, float]] = deque(maxlen=LINK_SAMPLES)
+        fine = [s for s in LEVELS if s == 1 or min(size) * s >= SHORTEST]
+        rest = [s for s in LEVELS[len(fine) :] + COARSER if min(size) * s >= COARSER_SHORTEST]
+        self._shares = (*fine, *rest)
+        self._fine = len(fine)
+        self._levels = [_Level(w * h) for w, h in map(self.size, range(len(self._shares)))]
+        self._link: deque[tuple[int, float, float]] = deque(maxlen=LINK_SAMPLES)
         small = [n for n, level in enumerate(self._levels) if level.pixels <= PREVIEW]
-        self.level = small[0] if small else len(shares) - 1
+        self.level = min(small[0], self._fine - 1) if small and not far else self._fine - 1
 
     def size(self, level: int) -> tuple[int, int]:
         """(width, height) in px of a picture at ``level``."""
         width, height = (max(1, round(n * self._shares[level])) for n in self._size)
         return width, height
 
-    def note(self, level: int, render: float, encode: float, flight: float, sent: int) -> None:
-        """A frame was shown: s of its stages, bytes sent. Chooses the level of the next."""
+    def note(
+        self,
+        level: int,
+        render: float,
+        encode: float,
+        flight: float,
+        sent: int,
+        way: float | None = None,
+    ) -> None:
+        """A frame was shown: s of its stages, bytes sent. Chooses the level of the next.
+
+        ``flight`` is how long the link was busy with it, ``way`` how long it took to be answered
+        (None: the same).
+        """
         stages = render, encode, flight
         row = self._levels[level]
         if self._age(row) > 1:
             row.loads.clear()
         row.loads.append(max(*stages, sum(stages) / 2))
         row.noted = self._clock()
-        self._link.append((sent, flight))
+        self._link.append((sent, flight, flight if way is None else way))
         self._choose()
 
     def _age(self, row: _Level) -> float:
@@ -119,12 +144,19 @@ class Pace:
 
     def _choose(self) -> None:
         loads = [self.load(n) for n in range(len(self._levels))]
-        stays = max(self.period, GAIN * loads[-1])
-        rises = max(HEADROOM * self.period, REGAIN * loads[-1])
-        for level, seconds in enumerate(loads):
-            if seconds <= (stays if level >= self.level else rises):
-                self.level = level
-                return
+        level = self._finest(loads[: self._fine], self.period)
+        if loads[level] > (SLOW if self.level < self._fine else HEADROOM * SLOW):
+            level = self._finest(loads, SLOW)
+        self.level = level
+
+    def _finest(self, loads: list[float], limit: float) -> int:
+        """The finest level that takes no more than ``limit`` s; or little more than the coarsest.
+
+        A finer one than now has to do so with something to spare.
+        """
+        stays = max(limit, GAIN * loads[-1])
+        rises = max(HEADROOM * limit, REGAIN * loads[-1])
+        return next(n for n, s in enumerate(loads) if s <= (stays if n >= self.level else rises))
 
     def interval(self, level: int) -> float:
         """Seconds from one frame's begin to the next one's: no more are begun than get through."""
@@ -142,7 +174,8 @@ class Pace:
     @property
     def link(self) -> Link | None:
         """Of the last frames; None if nothing is known."""
-        seconds = sum(flight for _, flight in self._link)
-        if seconds <= 0:
+        busy = sum(flight for _, flight, _ in self._link)
+        if busy <= 0:
             return None
-        return Link(seconds / len(self._link), sum(sent for sent, _ in self._link) / seconds)
+        way = sum(seconds for *_, seconds in self._link)
+        return Link(way / len(self._link), sum(sent for sent, *_ in self._link) / busy)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Sequence
 
 from tsplat.core.errors import printable
 from tsplat.presenters.base import Terminal
 from tsplat.viewer.controls import HELP
 
 PLAIN = b"\x1b[m"
+BOLD = b"\x1b[1m"
 REVERSE = b"\x1b[7m"  # SGR 7: seen in any colours, and in none
 CLEAR_LINE = b"\x1b[K"
 CLEAR_SCREEN = b"\x1b[2J\x1b[H"
+MORE = "up and down: more"
 
 
-def _cup(row: int, column: int = 1) -> bytes:
+def cup(row: int, column: int = 1) -> bytes:
     """CUP: the cursor to a cell, counted from 1."""
     return b"\x1b[%d;%dH" % (row, column)
 
@@ -30,27 +33,52 @@ def fitted(text: str, cells: int) -> str:
     return out
 
 
-def status_line(text: str, terminal: Terminal, alarm: bool = False) -> bytes:
-    """``text`` on the last row, which presenters leave alone; the cursor cannot wrap.
+def joined(parts: Sequence[str], cells: int) -> str:
+    """As many of ``parts``, the most important first, as fit whole; the first one in any case."""
+    out = ""
+    for part in filter(None, parts):
+        longer = f"{out}  {part}" if out else part
+        if out and len(longer) > cells:
+            break
+        out = longer
+    return out
+
+
+def status_line(parts: Sequence[str], terminal: Terminal, alarm: bool = False) -> bytes:
+    """``parts`` on the last row, which presenters leave alone; the cursor cannot wrap.
 
     That there is advice about the terminal is said first; the help page has it.
     """
-    if text and terminal.advice:
-        text = f"no pictures in {terminal.multiplexer}: ?  {text}"
-    shown = fitted(text, terminal.columns - 1).encode()
+    if parts and terminal.advice:
+        parts = (f"no pictures in {terminal.multiplexer}: ?", *parts)
+    cells = terminal.columns - 1
+    shown = fitted(joined(parts, cells), cells).encode()
     if alarm:
         shown = REVERSE + shown + PLAIN
-    return PLAIN + _cup(terminal.rows) + shown + CLEAR_LINE
+    return PLAIN + cup(terminal.rows) + shown + CLEAR_LINE
 
 
-def help_page(terminal: Terminal) -> bytes:
-    """The keys, on a cleared screen; as much as fits."""
+def help_lines(terminal: Terminal) -> list[str]:
+    """What the help page says, a line a row."""
     advice = ["", terminal.advice] if terminal.advice else []
-    lines = ["tsplat", "", *HELP.splitlines(), *advice][: terminal.rows - 1]
-    top = max(0, (terminal.rows - len(lines)) // 2)
-    left = max(0, (terminal.columns - max(map(len, lines))) // 2)
+    return ["tsplat", "", *HELP.splitlines(), *advice]
+
+
+def help_page(terminal: Terminal, top: int = 0) -> bytes:
+    """The keys, on a cleared screen, from line ``top`` on; as much as fits."""
+    every, room = help_lines(terminal), max(1, terminal.rows - 1)
+    lines = every[top : top + room]
+    above = max(0, (room - len(lines)) // 2)
+    left = max(0, (terminal.columns - max(map(len, every))) // 2)
     rows = [
-        _cup(top + i + 1, left + 1) + fitted(line, terminal.columns - left).encode()
+        cup(above + i + 1, left + 1) + fitted(line, terminal.columns - left).encode()
         for i, line in enumerate(lines)
     ]
+    if len(every) > room:
+        rows.append(cup(terminal.rows) + fitted(MORE, terminal.columns - 1).encode())
     return PLAIN + CLEAR_SCREEN + b"".join(rows)
+
+
+def help_top(top: int, terminal: Terminal) -> int:
+    """``top``, kept to where the page still ends with its last line."""
+    return min(max(top, 0), max(0, len(help_lines(terminal)) - max(1, terminal.rows - 1)))

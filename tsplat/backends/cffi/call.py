@@ -70,6 +70,7 @@ def params_struct(params: RenderParams, degree: int) -> Any:
             "sh_degree": degree,
             "antialias": params.antialias,
             "depth_split": params.depth_split,
+            "low_pass": params.low_pass,
         },
     )
 

@@ -18,7 +18,7 @@ static double furthest(const lens *lens, const double *bounds, double nx, double
  * reach * (fx / z * sqrt(1 + u^2) * scale + sqrt(eps2d)), with u clamped as for the Jacobian: times
  * z > 0 this is linear in the mean, so a box of means needs one look per side of the picture. */
 static int out_of_sight(const lens *lens, const double *bounds) {
-    double edge = sqrt(EPS2D) * bounds[7] * (1 + RADIUS_SLACK) + 2 * RADIUS_PAD;
+    double edge = sqrt(lens->low_pass) * bounds[7] * (1 + RADIUS_SLACK) + 2 * RADIUS_PAD;
     double focal[2] = {lens->fx, lens->fy}, middle[2] = {lens->cx, lens->cy};
     double size[2] = {lens->width, lens->height};
     if (furthest(lens, bounds, 0, 0, 1) <= lens->near_) return 1;

@@ -57,7 +57,7 @@ typedef struct {
 typedef struct {
     double rotation[9], centre[3], fx, fy, cx, cy, near_, far_;
     double slope_min[2], slope_max[2]; /* x/z and y/z are clamped to these for the Jacobian */
-    double threshold;
+    double threshold, low_pass;
     float depth_split;
     int32_t width, height, sh_degree, antialias;
 } lens;
@@ -70,7 +70,7 @@ static lens make_lens(const tsplat_camera *c, const tsplat_params *p) {
                 .slope_min = {-c->cx / c->fx - margin_x, -c->cy / c->fy - margin_y},
                 .slope_max = {(c->width - c->cx) / c->fx + margin_x,
                               (c->height - c->cy) / c->fy + margin_y},
-                .threshold = max_(p->alpha_threshold, ALPHA_FLOOR),
+                .threshold = max_(p->alpha_threshold, ALPHA_FLOOR), .low_pass = p->low_pass,
                 .depth_split = p->depth_split, .sh_degree = p->sh_degree, .antialias = p->antialias};
     memcpy(out.rotation, c->rotation, sizeof out.rotation);
     memcpy(out.centre, c->centre, sizeof out.centre);

@@ -54,6 +54,7 @@ typedef struct {
     int32_t sh_degree;          /* 0..3, at most what the scene's coefficients allow */
     int32_t antialias;          /* 0 or 1 */
     float depth_split;          /* RenderParams.depth_split; 1 keeps all bits */
+    double low_pass;            /* px^2 */
 } tsplat_params;
 
 typedef struct {

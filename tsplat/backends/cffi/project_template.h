@@ -103,7 +103,7 @@ TARGET static inline unsigned NAME(project)(const lens *lens, const float *in, u
     seen &= fits;
     if (!seen) return 0;
 
-    VD eps = DSET1(EPS2D), eps_squared = DSET1(EPS2D * EPS2D), var_x[2], var_y[2], det[2];
+    VD eps = DSET1(lens->low_pass), eps_squared = DSET1(lens->low_pass * lens->low_pass), var_x[2], var_y[2], det[2];
     for (int h = 0; h < 2; h++) {
         var_x[h] = DADD(g[h].xx, eps);
         var_y[h] = DADD(g[h].yy, eps);

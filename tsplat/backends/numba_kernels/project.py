@@ -25,7 +25,6 @@ from tsplat.backends.numba_kernels.simd import (
     store,
 )
 from tsplat.core.constants import (
-    EPS2D,
     OFFSCREEN_MAX,
     RADIUS_PAD,
     RADIUS_SLACK,
@@ -40,10 +39,10 @@ from tsplat.core.types import F32, F64, I32
 LANES = 8  # Gaussians projected at a time
 
 # Entries of the camera's numbers.
-CENTRE, FX, FY, CX, CY, NEAR, FAR, LEFT, RIGHT, TOP, BOTTOM, WIDTH, HEIGHT, SPLIT = (
-    9, *range(12, 25)
+CENTRE, FX, FY, CX, CY, NEAR, FAR, LEFT, RIGHT, TOP, BOTTOM, WIDTH, HEIGHT, SPLIT, LOW_PASS = (
+    9, *range(12, 26)
 )  # fmt: skip
-VIEW = 25
+VIEW = 26
 
 # What a group of Gaussians leaves for its splats: vectors of each, float64 and float32.
 MEAN_X, MEAN_Y = 0, LANES
@@ -146,8 +145,9 @@ def _project_group(
     d0, d1 = fma(a11, a22, -(a12 * a21)), fma(a12, a20, -(a10 * a22))
     d2 = fma(a10, a21, -(a11 * a20))
     det_sharp = fma(d0, d0, fma(d1, d1, d2 * d2))
-    var_x, var_y = xx + EPS2D, yy + EPS2D
-    det = det_sharp + fma(xx + yy, EPS2D, (xx - xx) + EPS2D * EPS2D)
+    eps = view_[LOW_PASS]
+    var_x, var_y = xx + eps, yy + eps
+    det = det_sharp + fma(xx + yy, eps, (xx - xx) + eps * eps)
 
     width_x, width_y = math.sqrt(convert(var_x, np.float32)), math.sqrt(convert(var_y, np.float32))
     root = math.sqrt(convert(det, np.float32))

@@ -75,7 +75,7 @@ def _view(camera: Camera, scene: Scene, params: RenderParams) -> F64:
         camera.near, camera.far,
         -cx / fx - margin_x, (width - cx) / fx + margin_x,
         -cy / fy - margin_y, (height - cy) / fy + margin_y,
-        width, height, params.depth_split,
+        width, height, params.depth_split, params.low_pass,
     ], np.float64)  # fmt: skip
 
 
