@@ -303,7 +303,9 @@ def run_terminal(presenter: str, taps: int, hold: float) -> dict[str, object]:
 # --- both, and what is said
 
 
-def transit(taken: list[list[float]], got: list[list[float]], presses: Sequence[float]) -> list[int]:
+def transit(
+    taken: list[list[float]], got: list[list[float]], presses: Sequence[float]
+) -> list[int]:
     """Bytes that the relay had taken and the terminal not got, when each key was pressed."""
 
     def at(curve: list[list[float]], when: float) -> int:
@@ -406,7 +408,10 @@ def main(words: Sequence[str] | None = None) -> int:
         for presenter in arguments.presenters.split(","):
             rows.append(measure(presenter, arguments))
             if not arguments.markdown:
-                print("  ".join(f"{h}: {c}" for h, c in zip(HEADINGS, cells(rows[-1]), strict=True)), flush=True)
+                print(
+                    "  ".join(f"{h}: {c}" for h, c in zip(HEADINGS, cells(rows[-1]), strict=True)),
+                    flush=True,
+                )
     except NoNetwork as error:
         print(f"no link: {error}", file=sys.stderr)
         return 1

@@ -21,7 +21,7 @@ from tsplat.plugins import ask
 from tsplat.presenters.base import Presenter, Terminal, changed, pixels
 from tsplat.presenters.enlarge import enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
-from tsplat.viewer.controls import View, moves
+from tsplat.viewer.controls import DOUBLE_SECONDS, View, moves
 from tsplat.viewer.engine import Engine, Prepared
 from tsplat.viewer.figures import Shown, figures, status
 from tsplat.viewer.held import Held
@@ -129,6 +129,7 @@ class Viewer:
         self._held = Held()
         self._heard: float | None = None  # when input came that no picture shows yet
         self._latency: float | None = None  # s, from the last input to its picture
+        self._clicked: tuple[tuple[float, float], float] = (-1.0, -1.0), 0.0  # last: cell, s
         self._recording: Recording | None = None
         self._place = -1  # in the file of cameras
         self._clock = self._moved = time.monotonic()
@@ -201,12 +202,22 @@ class Viewer:
         else:
             self._held = self._held.after(event, now)
             self._view = before.after(event, self._terminal)
+        if event.kind == "mouse" and event.action == "press" and self._again(event, now):
+            self._view = self._view.wishing("under")
         if self._holding or self._view.moves_from(before):
             self._heard = self._heard or now
         if self._view.wish:
             wish, self._view = self._view.wish, replace(self._view, wish="")
             self._grant(wish)
         self._changed(before)
+
+    def _again(self, event: Event, now: float) -> bool:
+        """Whether a click is the second one at its place; the third is a first one again."""
+        at, then = self._clicked
+        near = abs(event.x - at[0]) <= 1 and abs(event.y - at[1]) <= 1
+        double = event.button == "left" and near and now - then <= DOUBLE_SECONDS
+        self._clicked = (event.x, event.y), 0.0 if double else now
+        return double
 
     def _turned_help(self, event: Event) -> bool:
         """Whether ``event`` turned a page that is longer than the screen."""

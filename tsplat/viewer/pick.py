@@ -12,7 +12,7 @@ from tsplat.core.workspace import Workspace
 from tsplat.plan import make_plan
 from tsplat.viewer.engine import Prepared
 
-WINDOW = 9  # px each way that are looked at
+WINDOW = 21  # px each way that are looked at
 SEEN = 0.05  # of the light at least that must come from splats
 
 
