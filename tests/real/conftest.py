@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -15,11 +17,12 @@ import pytest
 from PIL import Image
 
 from tests.real.desk import Make, Terminal, opened, tsplat
-from tsplat.core.camera import Camera, intrinsics
+from tsplat.core.camera import intrinsics
 from tsplat.demo import demo_scene
 from tsplat.io.cameras import camera_to_json
 from tsplat.views import FOV, YAW, frame_scene
 
+ASIDE = math.radians(20)
 COLUMNS, ROWS = 80, 25  # of which the last is the status line's
 HERE = Path(__file__).parent
 
@@ -51,9 +54,16 @@ class Pictures:
         self._folder, self._scene = folder, demo_scene()
         self._made: dict[tuple[str, ...], np.ndarray] = {}
 
-    def camera(self, first: tuple[int, int], turned: float = 0.0) -> Camera:
-        """The one that frames the scene in ``first`` px, ``turned`` radians on."""
-        return frame_scene(self._scene, *first, yaw=YAW + turned)
+    def camera(self, first: tuple[int, int], window: tuple[int, int], aside: bool = False) -> Path:
+        """A file with the camera that frames the scene in ``first`` px, in a window of any size.
+
+        ``aside``: from farther round.
+        """
+        camera = frame_scene(self._scene, *first, yaw=YAW + ASIDE * aside)
+        camera = replace(camera, K=intrinsics(*window, FOV), width=window[0], height=window[1])
+        file = self._folder / "{}x{}-{}x{}-{}.json".format(*first, *window, aside)
+        file.write_text(json.dumps([camera_to_json(camera)]))
+        return file
 
     def render(self, *words: object) -> np.ndarray:
         """By the program; uint8 [H, W, 3]."""
@@ -68,23 +78,6 @@ class Pictures:
     def framed(self, size: tuple[int, int]) -> np.ndarray:
         """The default view."""
         return self.render("--size", "{}x{}".format(*size))
-
-    def seen(
-        self,
-        first: tuple[int, int],
-        window: tuple[int, int],
-        size: tuple[int, int],
-        turned: float = 0.0,
-    ) -> np.ndarray:
-        """From where ``first`` px frame the scene, in a window that is another size now, in
-        ``size`` pixels that cover that."""
-        camera = self.camera(first, turned)
-        camera = Camera(
-            camera.viewmat, intrinsics(*window, FOV), *window, near=camera.near, far=camera.far
-        )
-        name = "{}x{}-{}x{}-{}.json".format(*first, *window, turned)
-        (self._folder / name).write_text(json.dumps(camera_to_json(camera)))
-        return self.render("--camera", self._folder / name, "--size", "{}x{}".format(*size))
 
 
 @pytest.fixture(scope="session")

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import math
 import random
+import shlex
+import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,10 +30,10 @@ from tests.real.desk import (
     await_,
     in_tmux,
     psnr,
+    tsplat,
 )
-from tsplat.viewer.controls import KEYS
 
-TURN = math.radians(4)  # what K does, as the help page's keys are documented
+AGAIN = 50.0  # dB; a camera by its eye and target is rounded elsewhere
 OTHER = 25.0  # dB; two views of the scene are farther apart
 EXACT = math.inf
 
@@ -74,20 +77,24 @@ class Viewing:
         columns, rows = terminal.cells()
         self.cell = width // columns, height // rows
         self._margin = width - columns * self.cell[0], height - rows * self.cell[1]
+        self._cells = columns, rows
         self.first = self.pixels()
 
     def pixels(self) -> tuple[int, int]:
-        """px of all rows but the last."""
-        columns, rows = self.terminal.cells()
+        """px of all rows but the last, in the window as it was last asked for."""
+        columns, rows = self._cells
         return columns * self.cell[0], (rows - 1) * self.cell[1]
 
     def resize(self, columns: int, rows: int) -> None:
         """The window."""
         width, height = columns * self.cell[0], rows * self.cell[1]
         self.terminal.resize(width + self._margin[0], height + self._margin[1])
+        self._cells = columns, rows
 
     def shown(self) -> np.ndarray | None:
-        """The picture on the screen; None while the window is smaller than the tty says."""
+        """The picture on the screen; None until the program can know of the window's size."""
+        if self.terminal.cells() != self._cells:
+            return None
         photograph = self.terminal.photograph()
         width, height = self.pixels()
         if photograph.shape[0] < height or photograph.shape[1] < width:
@@ -99,23 +106,25 @@ class Viewing:
         y = ((np.arange(round(height / down)) + 0.5) * down).astype(int)
         return photograph[y][:, x]
 
-    def wanted(self, turned: float = 0.0) -> np.ndarray:
+    def wanted(self, aside: bool = False) -> np.ndarray:
         """What ``tsplat render`` makes for the window as it is."""
         window = size = self.pixels()
         if self.case.halves:
             size = window[0] // self.cell[0], 2 * window[1] // self.cell[1]
-        if size == self.first and not turned:
-            return self._pictures.framed(size)
-        return self._pictures.seen(self.first, window, size, turned)
+        shape = "--size", "{}x{}".format(*size)
+        if size == self.first and not aside:
+            return self._pictures.render(*shape)
+        camera = self._pictures.camera(self.first, window, aside)
+        return self._pictures.render("--camera", camera, *shape)
 
-    def show(self, what: str, turned: float = 0.0) -> np.ndarray:
+    def show(self, what: str, aside: bool = False) -> np.ndarray:
         """Waits until the screen shows what it should, and returns it."""
         best, last = -math.inf, None
 
         def there() -> bool:
             nonlocal best, last
             before, last = last, self.shown()
-            wanted = self.wanted(turned)
+            wanted = self.wanted(aside)
             if last is None or last.shape != wanted.shape:
                 return False
             best = max(best, psnr(last, wanted))
@@ -126,12 +135,12 @@ class Viewing:
             await_(what, there)
         except AssertionError as error:
             folder = self.terminal.state
-            for name, picture in (("seen", last), ("wanted", self.wanted(turned))):
+            for name, picture in (("seen", last), ("wanted", self.wanted(aside))):
                 if picture is not None:
                     Image.fromarray(picture).save(folder / f"{name}.png")
             told = f"{error}; at best {best:.1f} dB; see {folder}/seen.png and wanted.png"
             raise AssertionError(told) from None
-        value = psnr(last, self.wanted(turned))
+        value = psnr(last, self.wanted(aside))
         self._report[str(self.case)] = min(value, self._report.get(str(self.case), math.inf))
         return last
 
@@ -144,10 +153,11 @@ def viewing(terminal, pictures, report):
     def start(case: Case) -> Iterator[Viewing]:
         opened = terminal(case.make)
         opened.fresh()
-        opened.view(*case.words)
-        viewing = Viewing(case, opened, pictures, report)
+        first = Viewing(case, opened, pictures, report)
+        cameras = pictures.camera(first.first, first.first, aside=True)
+        opened.view(*case.words, "--cameras", cameras, errors="said")
         try:
-            yield viewing
+            yield first
         finally:
             opened.press("q")
             opened.ready()
@@ -159,15 +169,52 @@ def viewing(terminal, pictures, report):
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_moves_are_followed(case: Case, viewing: Callable[[Case], Viewing]) -> None:
-    """The first view; three turns on; and back by R: each as ``render`` makes it from there."""
+    """The first view; a camera of a file; and back: each the picture that ``render`` makes."""
     with viewing(case) as view:
         first = view.show("the first view")
-        view.terminal.press("k", "k", "k")
-        turned = view.show("the view three turns on", 3 * TURN)
-        assert psnr(turned, first) < OTHER
-        view.terminal.press("r")
-        back = view.show("the first view again")
-        np.testing.assert_array_equal(back, first)
+        view.terminal.press("n")
+        aside = view.show("the file's camera", aside=True)
+        assert psnr(aside, first) < OTHER
+        view.terminal.press("z")
+        np.testing.assert_array_equal(view.show("the first view again"), first)
+
+
+@pytest.mark.parametrize("case", CASES[:2], ids=str)
+def test_what_is_kept_is_what_is_shown(case: Case, viewing: Callable[[Case], Viewing]) -> None:
+    """After arrows, P keeps the screen's picture, and a command that makes it again."""
+    with viewing(case) as view:
+        first = view.show("the first view")
+        state = view.terminal.state
+        view.terminal.press("Left", "Left", "Up")
+        await_("another view", lambda: psnr(view.shown(), first) < OTHER)
+
+        def kept() -> bool:
+            """A key may go on to move the camera for a moment: then P comes too early."""
+            before = view.shown()
+            name = f"tsplat-demo-{len(list(state.glob('*.png'))) + 1:03d}.png"
+            view.terminal.press("p")
+            await_("the file", (state / name).exists)
+            await_("all of it", lambda: readable(state / name) is not None)
+            same = np.array_equal(before, view.shown())
+            return same and psnr(before, readable(state / name)) >= case.bound
+
+        await_("the screen's picture, kept", kept)
+        shown = view.shown()
+    *_, last = (state / "said").read_text().splitlines()
+    words = shlex.split(last.partition(": ")[2])
+    words[0:1] = tsplat()
+    words[words.index("-o") + 1] = str(state / "again.png")
+    subprocess.run(words, check=True, capture_output=True)
+    assert psnr(shown, readable(state / "again.png")) >= min(case.bound, AGAIN)
+
+
+def readable(file: Path) -> np.ndarray | None:
+    """The picture in ``file``; None while it is being written."""
+    try:
+        with Image.open(file) as image:
+            return np.asarray(image.convert("RGB"))
+    except (OSError, SyntaxError):
+        return None
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
@@ -179,12 +226,9 @@ def test_resizes_are_followed(case: Case, viewing: Callable[[Case], Viewing]) ->
         columns, rows = view.terminal.cells()
         view.resize(columns + 20, rows + 6)
         view.show("the larger window's picture")
-        assert view.terminal.cells() == (columns + 20, rows + 6)
         for _ in range(25):
             view.resize(columns + dice.randrange(-40, 20), rows + dice.randrange(-12, 6))
         view.resize(columns - 20, rows - 7)
-        await_("the last size", lambda: view.terminal.cells() == (columns - 20, rows - 7))
         view.show("the smaller window's picture")
         view.resize(columns, rows)
-        await_("the first size", lambda: view.terminal.cells() == (columns, rows))
         np.testing.assert_array_equal(view.show("the first view again"), first)
