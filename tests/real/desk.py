@@ -198,7 +198,9 @@ class Terminal:
         def windows() -> list[tuple[int, str]]:
             found = []
             with contextlib.suppress(subprocess.CalledProcessError):
-                for window in self.xdo("search", "--maxdepth", 1, "--onlyvisible", "--name", ".*").split():
+                for window in self.xdo(
+                    "search", "--maxdepth", 1, "--onlyvisible", "--name", ".*"
+                ).split():
                     width, height = self.area(window)
                     if (width, height) != SCREEN:
                         found.append((width * height, window))

@@ -201,7 +201,7 @@ def test_what_is_kept_is_what_is_shown(case: Case, viewing: Callable[[Case], Vie
         await_("the screen's picture, kept", kept)
         shown = view.shown()
     *_, last = (state / "said").read_text().splitlines()
-    words = shlex.split(last.partition(": ")[2])
+    words = shlex.split(last.rpartition(": ")[2])
     words[0:1] = tsplat()
     words[words.index("-o") + 1] = str(state / "again.png")
     subprocess.run(words, check=True, capture_output=True)
@@ -228,7 +228,30 @@ def test_resizes_are_followed(case: Case, viewing: Callable[[Case], Viewing]) ->
         view.show("the larger window's picture")
         for _ in range(25):
             view.resize(columns + dice.randrange(-40, 20), rows + dice.randrange(-12, 6))
-        view.resize(columns - 20, rows - 7)
+        view.resize(columns - 20, rows - 6)
         view.show("the smaller window's picture")
         view.resize(columns, rows)
         np.testing.assert_array_equal(view.show("the first view again"), first)
+
+
+CYCLE = (
+    Case(KITTY, "kitty", EXACT),
+    Case(KITTY, "blocks", 20.0),  # quadrants and eighths, against every pixel
+    Case(KITTY, "halfblock", EXACT, halves=True),
+)
+"""What a kitty that draws blocks itself goes through first, in the presenters' order."""
+
+
+def test_another_presenter_shows_the_same_view(viewing: Callable[[Case], Viewing]) -> None:
+    """M goes to the next one, Shift+M back: each clears the last one's picture and shows its own."""
+    with viewing(CYCLE[0]) as view:
+        first = view.show("the first view")
+        for case in CYCLE[1:]:
+            view.terminal.press("m")
+            view.case = case
+            view.show(f"the first view by {case.presenter}")
+        for case in CYCLE[-2::-1]:
+            view.terminal.press("M")
+            view.case = case
+            last = view.show(f"the first view by {case.presenter} again")
+        np.testing.assert_array_equal(last, first)
