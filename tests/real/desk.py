@@ -25,11 +25,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import ImageGrab, features
+from PIL import Image, ImageGrab, features
 
-from tests.conftest import ROOT
-
-PATIENCE = float(os.environ.get("PAT", "60"))  # s; for a machine that has much else to do
+PATIENCE = 60.0  # s; for a machine that has much else to do
 GAP = 0.03  # s between two looks at the same thing
 SCREEN = 1100, 700  # px of the X server; windows are smaller
 FONT = "DejaVu Sans Mono"
@@ -225,6 +223,31 @@ class Terminal:
         width, height = self.area(self.window)
         return image[:height, :width]
 
+    def at_rest(self) -> np.ndarray:
+        """The window, once four photographs in a row are the same."""
+        last: list[np.ndarray] = []
+
+        def still() -> bool:
+            last[:] = [*last[-3:], self.photograph()]
+            return len(last) == 4 and all(np.array_equal(last[0], other) for other in last[1:])
+
+        await_("a screen at rest", still)
+        return last[0]
+
+    def shows(self, what: str, wanted: np.ndarray) -> None:
+        """Waits until every pixel of the window is as ``wanted``."""
+        try:
+            await_(what, lambda: np.array_equal(self.photograph(), wanted))
+        except AssertionError as error:
+            raise AssertionError(f"{error}; {self.keep(self.photograph(), wanted)}") from None
+
+    def keep(self, seen: np.ndarray | None, wanted: np.ndarray) -> str:
+        """Writes both into files; says where."""
+        for name, picture in (("seen", seen), ("wanted", wanted)):
+            if picture is not None:
+                Image.fromarray(picture).save(self.state / f"{name}.png")
+        return f"see {self.state}/seen.png and wanted.png"
+
     def resize(self, width: int, height: int) -> None:
         """The window, px."""
         self.xdo("windowsize", self.window, width, height)
@@ -390,6 +413,3 @@ def psnr(got: np.ndarray, wanted: np.ndarray) -> float:
     assert got.shape == wanted.shape, (got.shape, wanted.shape)
     error = np.mean((got.astype(float) - wanted) ** 2)
     return float("inf") if error == 0 else float(10 * np.log10(255**2 / error))
-
-
-__all__ = ["KITTY", "MLTERM", "ROOT", "XTERM", "Make", "Terminal", "in_tmux", "opened", "psnr"]

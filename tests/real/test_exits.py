@@ -7,20 +7,31 @@ every pixel.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shlex
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.real.desk import KITTY, KONSOLE, MLTERM, XTERM, Make, Terminal, alive, await_, in_tmux
+from tests.real.desk import (
+    KITTY,
+    KONSOLE,
+    MLTERM,
+    XTERM,
+    Make,
+    Terminal,
+    alive,
+    await_,
+    in_tmux,
+    psnr,
+)
 from tests.real.desk import opened as open_terminal
 
+SAME = 20.0  # dB; the text and the picture are 12 apart
 EVERYWHERE = (KITTY, XTERM, MLTERM, KONSOLE, in_tmux(XTERM))
 WELL_KNOWN = (KITTY, XTERM, in_tmux(XTERM))
 
@@ -66,24 +77,13 @@ def sent(signum: int) -> Callable[[Terminal], None]:
     return lambda terminal: os.kill(terminal.pid(), signum)
 
 
-def broken(terminal: Terminal) -> None:
-    """Moves until the presenter fails."""
-
-    def failed() -> bool:
-        if alive(terminal.pid()):
-            terminal.press("Left")
-        return not alive(terminal.pid())
-
-    await_("the failure", failed)
-
-
 EXITS = (
     Exit("q", typed("q"), 0),
     Exit("ctrl-c", typed("ctrl+c"), 0),
     Exit("sigterm", sent(signal.SIGTERM), 128 + signal.SIGTERM),
     Exit("moving", typed("o", "Escape"), 0),
     Exit(
-        "a failing plugin", broken, 1, ("--presenter", "breaking"),
+        "a failing plugin", typed("Left"), 1, ("--presenter", "breaking"),
         "tsplat: presenter 'breaking' failed: ValueError: no ink; try another with --presenter",
     ),
 )  # fmt: skip
@@ -105,31 +105,23 @@ def shown(terminal: Terminal, before: np.ndarray) -> None:
     await_("a picture", lambda: (terminal.photograph() != before).any(axis=2).mean() > 0.2)
 
 
-@contextlib.contextmanager
-def as_if(terminal: Terminal, script: str, letters: str = "v") -> Iterator[np.ndarray]:
-    """The screen after a program that does nothing but what ``script`` says; then afresh."""
+def as_if(terminal: Terminal, script: str, letters: str = "v") -> list[np.ndarray]:
+    """The screens after each command, if V's program does nothing but what ``script`` says."""
     terminal.fresh()
     terminal.program(script)
+    screens = []
     for letter in letters:
         terminal.type(letter)
         terminal.ready()
-    last = None
-
-    def still() -> bool:
-        nonlocal last
-        before, last = last, terminal.photograph()
-        return before is not None and np.array_equal(before, last)
-
-    await_("a screen at rest", still)
-    wanted = last
+        screens.append(terminal.at_rest())
     terminal.fresh()
-    yield wanted
+    return screens
 
 
 def restored(terminal: Terminal, wanted: np.ndarray) -> None:
     """The screen becomes ``wanted``, the tty is as it was."""
     assert terminal.unchanged()
-    await_("the screen as it was", lambda: np.array_equal(terminal.photograph(), wanted))
+    terminal.shows("the screen as it was", wanted)
 
 
 @pytest.mark.parametrize("leave", EXITS, ids=str)
@@ -139,12 +131,12 @@ def test_exits_restore_the_terminal(make: Make, leave: Exit, terminal) -> None:
     place = terminal(make)
     plug_in(place)
     script = (f"echo {shlex.quote(leave.says)} >&2; " if leave.says else "") + f"exit {leave.code}"
-    with as_if(place, script) as wanted:
-        before = place.photograph()
-        place.view(*leave.words)
-        shown(place, before)
-        leave.act(place)
-        place.ready()
+    (wanted,) = as_if(place, script)
+    before = place.photograph()
+    place.view(*leave.words)
+    shown(place, before)
+    leave.act(place)
+    place.ready()
     assert place.code() == leave.code
     restored(place, wanted)
 
@@ -153,49 +145,36 @@ def test_exits_restore_the_terminal(make: Make, leave: Exit, terminal) -> None:
 def test_stopped_and_continued(make: Make, terminal) -> None:
     """Ctrl+Z gives the terminal back, fg takes it again and shows the picture, Q leaves."""
     place = terminal(make)
-    with as_if(place, "kill -TSTP $$") as stopped:
-        before = place.photograph()
-        place.view()
-        shown(place, before)
-        picture = place.photograph()
-        place.press("ctrl+z")
-        place.ready()
-        assert place.code() == 128 + signal.SIGTSTP
-        restored(place, stopped)
-        pid = place.pid()
-        place.type("f")
-        shown(place, stopped)
-        place.press("q")
-        place.ready()
-    assert picture.shape == stopped.shape
-    assert not alive(pid)
-    assert place.code() == 0
-    with as_if(place, "kill -TSTP $$; exit 0", "vf") as wanted:
-        assert place.code() == 0
-    place.fresh()
+    stopped, ended = as_if(place, "kill -TSTP $$; exit 0", "vf")
+    before = place.photograph()
     place.view()
     shown(place, before)
+    picture = place.at_rest()
     place.press("ctrl+z")
     place.ready()
+    assert place.code() == 128 + signal.SIGTSTP
+    restored(place, stopped)
     place.type("f")
-    shown(place, stopped)
+    rows = picture.shape[0] - picture.shape[0] // place.cells()[1]  # but the status line's
+    await_("the picture again", lambda: psnr(place.photograph()[:rows], picture[:rows]) > SAME)
     place.press("q")
     place.ready()
-    restored(place, wanted)
+    assert place.code() == 0
+    restored(place, ended)
 
 
 @pytest.mark.parametrize("make", WELL_KNOWN, ids=lambda make: make.name)
 def test_a_scene_that_does_not_load_leaves_the_screen_alone(make: Make, terminal) -> None:
     """One line and code 1."""
     place = terminal(make)
-    with as_if(place, "echo 'tsplat: missing.ply: no such file' >&2; exit 1") as wanted:
-        place.view("missing.ply")
-        place.ready()
+    (wanted,) = as_if(place, "echo 'tsplat: missing.ply: no such file' >&2; exit 1")
+    place.view("missing.ply")
+    place.ready()
     assert place.code() == 1
     restored(place, wanted)
 
 
-@pytest.mark.parametrize("make", (KITTY, XTERM), ids=lambda make: make.name)
+@pytest.mark.parametrize("make", [KITTY, XTERM], ids=lambda make: make.name)
 def test_a_closed_window_leaves_nothing_behind(make: Make, tmp_path: Path) -> None:
     """The program ends with its terminal; no process is left, and nothing in shared memory."""
     with open_terminal(make, tmp_path) as place:

@@ -134,12 +134,8 @@ class Viewing:
         try:
             await_(what, there)
         except AssertionError as error:
-            folder = self.terminal.state
-            for name, picture in (("seen", last), ("wanted", self.wanted(aside))):
-                if picture is not None:
-                    Image.fromarray(picture).save(folder / f"{name}.png")
-            told = f"{error}; at best {best:.1f} dB; see {folder}/seen.png and wanted.png"
-            raise AssertionError(told) from None
+            kept = self.terminal.keep(last, self.wanted(aside))
+            raise AssertionError(f"{error}; at best {best:.1f} dB; {kept}") from None
         value = psnr(last, self.wanted(aside))
         self._report[str(self.case)] = min(value, self._report.get(str(self.case), math.inf))
         return last
@@ -243,7 +239,7 @@ CYCLE = (
 
 
 def test_another_presenter_shows_the_same_view(viewing: Callable[[Case], Viewing]) -> None:
-    """M goes to the next one, Shift+M back: each clears the last one's picture and shows its own."""
+    """M goes to the next, Shift+M back: each clears the last one's picture and shows its own."""
     with viewing(CYCLE[0]) as view:
         first = view.show("the first view")
         for case in CYCLE[1:]:
