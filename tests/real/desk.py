@@ -39,9 +39,10 @@ PS1='$ '
 bind 'set enable-bracketed-paste off'
 n=0
 PROMPT_COMMAND='echo $((n += 1)) >"$STATE/prompts"'
-note() { echo $? >"$STATE/code"; stty -a >"$STATE/after"; }
+facts() { stty -a >"$STATE/stty.$1"; "$PYTHON" -IS "$STATE/modes.py" >"$STATE/modes.$1"; }
+note() { echo $? >"$STATE/code"; facts after; }
 c() { printf '\033[H\033[2J'; cat "$STATE/text"; }
-v() { stty -a >"$STATE/before"; ./program; note; }
+v() { facts before; ./program; note; }
 f() { fg; note; }
 cd "$STATE"
 echo $$ >shell.pid
@@ -50,6 +51,23 @@ tty >tty
 """What bash knows in the terminal: C shows a text, V runs ./program, F goes on with it."""
 
 NO_BARS = '<!DOCTYPE gui SYSTEM "kpartgui.dtd"><gui name="{}" version="9999"></gui>'
+
+MODES = r"""
+import os, re, select, termios, tty
+modes = 1, 7, 12, 25, 47, 1000, 1002, 1003, 1004, 1006, 1016, 1047, 1049, 2004, 2026, 2031, 2048
+saved = termios.tcgetattr(0)
+tty.setraw(0)
+try:
+    questions = "".join(f"\033[?{mode}$p" for mode in modes) + "\033[?u\033[?4m\033[c"
+    os.write(2, questions.encode())
+    said = b""
+    while not re.search(rb"\033\[\?[0-9;]*c", said) and select.select([0], [], [], 20)[0]:
+        said += os.read(0, 4096)
+finally:
+    termios.tcsetattr(0, termios.TCSADRAIN, saved)
+print(said)
+"""
+"""Asks the terminal for its modes, its keyboard's (kitty, xterm), and DA1, which ends the wait."""
 
 TEXT = (
     "The screen as it was: \x1b[31mred\x1b[m, \x1b[1;34mbold\x1b[m, \x1b[7mreversed\x1b[m\n"
@@ -234,10 +252,10 @@ class Terminal:
         await_("a screen at rest", still)
         return last[0]
 
-    def shows(self, what: str, wanted: np.ndarray) -> None:
+    def shows(self, what: str, wanted: np.ndarray, seconds: float = PATIENCE) -> None:
         """Waits until every pixel of the window is as ``wanted``."""
         try:
-            await_(what, lambda: np.array_equal(self.photograph(), wanted))
+            await_(what, lambda: np.array_equal(self.photograph(), wanted), seconds)
         except AssertionError as error:
             raise AssertionError(f"{error}; {self.keep(self.photograph(), wanted)}") from None
 
@@ -307,10 +325,15 @@ class Terminal:
         self.program(command + (f" 2>{errors}" if errors else ""))
         self.type("v")
 
-    def unchanged(self) -> bool:
-        """Whether ``stty -a`` says after the last program what it said before."""
-        before, after = ((self.state / name).read_text() for name in ("before", "after"))
-        return before == after and "icanon" in before
+    def changed(self) -> list[str]:
+        """What is another after the last program than before: words for people."""
+        found = []
+        for what in ("stty", "modes"):
+            before, after = (self.state / f"{what}.{when}" for when in ("before", "after"))
+            assert before.stat().st_size > 5
+            if before.read_text() != after.read_text():
+                found.append(f"{what}: {before.read_text()} became {after.read_text()}")
+        return found
 
     def pid(self) -> int:
         """Of the program that V runs."""
@@ -350,9 +373,11 @@ def opened(make: Make, folder: Path, columns: int = 80, rows: int = 24) -> Itera
     (home / "run").chmod(0o700)
     (state / "rc").write_text(RC)
     (state / "text").write_text(TEXT)
+    (state / "modes.py").write_text(MODES)
     environment = {name: os.environ[name] for name in KEPT if name in os.environ} | {
         "HOME": str(home), "XDG_RUNTIME_DIR": str(home / "run"), "LANG": "C.UTF-8",
         "LIBGL_ALWAYS_SOFTWARE": "1", "STATE": str(state), "SHELL": "/bin/bash",
+        "PYTHON": sys.executable,
         "PYTHONPATH": os.pathsep.join(
             [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
         ),
@@ -406,10 +431,3 @@ def opened(make: Make, folder: Path, columns: int = 80, rows: int = 24) -> Itera
         terminal.ready()
         terminal.fresh()
         yield terminal
-
-
-def psnr(got: np.ndarray, wanted: np.ndarray) -> float:
-    """Peak signal-to-noise ratio in dB of 8-bit pictures of one shape."""
-    assert got.shape == wanted.shape, (got.shape, wanted.shape)
-    error = np.mean((got.astype(float) - wanted) ** 2)
-    return float("inf") if error == 0 else float(10 * np.log10(255**2 / error))

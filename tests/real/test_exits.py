@@ -1,8 +1,8 @@
 """However ``tsplat view`` ends in a real terminal, what was there before is there again.
 
-The tty's modes are compared as ``stty -a`` prints them; the screen is photographed, and compared
-with one where a program that does nothing ended in the same way: text, colours, prompt and cursor,
-every pixel.
+The tty's modes are compared as ``stty -a`` prints them, the terminal's as it reports them itself
+(DECRQM). The screen is photographed, and compared with one where a program that does nothing ended
+in the same way: text, colours, prompt and cursor, every pixel.
 """
 
 from __future__ import annotations
@@ -21,15 +21,16 @@ from tests.real.desk import (
     KITTY,
     KONSOLE,
     MLTERM,
+    PATIENCE,
     XTERM,
     Make,
     Terminal,
     alive,
     await_,
     in_tmux,
-    psnr,
 )
 from tests.real.desk import opened as open_terminal
+from tests.real.pictures import psnr
 
 SAME = 20.0  # dB; the text and the picture are 12 apart
 EVERYWHERE = (KITTY, XTERM, MLTERM, KONSOLE, in_tmux(XTERM))
@@ -118,10 +119,34 @@ def as_if(terminal: Terminal, script: str, letters: str = "v") -> list[np.ndarra
     return screens
 
 
-def restored(terminal: Terminal, wanted: np.ndarray) -> None:
-    """The screen becomes ``wanted``, the tty is as it was."""
-    assert terminal.unchanged()
-    terminal.shows("the screen as it was", wanted)
+def restored(terminal: Terminal, wanted: np.ndarray, seconds: float = PATIENCE) -> None:
+    """The tty and the terminal's modes are as they were, and the screen becomes ``wanted``."""
+    assert terminal.changed() == []
+    terminal.shows("the screen as it was", wanted, seconds)
+
+
+@pytest.mark.parametrize(
+    ("trace", "fault"),
+    [
+        ("stty -ixon", "stty"),
+        (r"printf '\033[?1000h'", "modes"),
+        (r"printf '\033[?25l'", "modes"),
+        (r"printf '\033[32m'", "not there"),
+        (r"printf '\033[H \033[11H'", "not there"),
+    ],
+)
+def test_traces_are_seen(trace: str, fault: str, terminal) -> None:
+    """A mode of the tty or of the terminal, a colour, one letter less: each is found."""
+    place = terminal(XTERM)
+    (wanted,) = as_if(place, "exit 0")
+    place.program(trace)
+    place.type("v")
+    place.ready()
+    with pytest.raises(AssertionError, match=fault):
+        restored(place, wanted, seconds=0.5)
+    place.program(r"stty sane; printf '\033[?1000l\033[?25h\033[m'")
+    place.type("v")
+    place.ready()
 
 
 @pytest.mark.parametrize("leave", EXITS, ids=str)

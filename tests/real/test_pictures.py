@@ -14,11 +14,9 @@ import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.real.desk import (
     KITTY,
@@ -29,9 +27,9 @@ from tests.real.desk import (
     Terminal,
     await_,
     in_tmux,
-    psnr,
     tsplat,
 )
+from tests.real.pictures import Pictures, psnr, readable
 
 AGAIN = 50.0  # dB; a camera by its eye and target is rounded elsewhere
 OTHER = 25.0  # dB; two views of the scene are farther apart
@@ -70,9 +68,8 @@ CASES = (
 class Viewing:
     """``tsplat view`` on the demo scene, in a terminal of ``COLUMNS`` by ``ROWS`` at first."""
 
-    def __init__(self, case: Case, terminal: Terminal, pictures, report) -> None:
+    def __init__(self, case: Case, terminal: Terminal, pictures: Pictures) -> None:
         self.case, self.terminal, self._pictures = case, terminal, pictures
-        self._report = report
         width, height = terminal.area(terminal.window)
         columns, rows = terminal.cells()
         self.cell = width // columns, height // rows
@@ -136,20 +133,19 @@ class Viewing:
         except AssertionError as error:
             kept = self.terminal.keep(last, self.wanted(aside))
             raise AssertionError(f"{error}; at best {best:.1f} dB; {kept}") from None
-        value = psnr(last, self.wanted(aside))
-        self._report[str(self.case)] = min(value, self._report.get(str(self.case), math.inf))
+        print(f"{self.case}, {what}: {psnr(last, self.wanted(aside)):.1f} dB")  # seen with -rP
         return last
 
 
 @pytest.fixture
-def viewing(terminal, pictures, report):
+def viewing(terminal, pictures):
     """Starts ``tsplat view``; Q ends it, with code 0 and the tty as it was."""
 
     @contextmanager
     def start(case: Case) -> Iterator[Viewing]:
         opened = terminal(case.make)
         opened.fresh()
-        first = Viewing(case, opened, pictures, report)
+        first = Viewing(case, opened, pictures)
         cameras = pictures.camera(first.first, first.first, aside=True)
         opened.view(*case.words, "--cameras", cameras, errors="said")
         try:
@@ -158,7 +154,7 @@ def viewing(terminal, pictures, report):
             opened.press("q")
             opened.ready()
         assert opened.code() == 0
-        assert opened.unchanged()
+        assert opened.changed() == []
 
     return start
 
@@ -202,15 +198,6 @@ def test_what_is_kept_is_what_is_shown(case: Case, viewing: Callable[[Case], Vie
     words[words.index("-o") + 1] = str(state / "again.png")
     subprocess.run(words, check=True, capture_output=True)
     assert psnr(shown, readable(state / "again.png")) >= min(case.bound, AGAIN)
-
-
-def readable(file: Path) -> np.ndarray | None:
-    """The picture in ``file``; None while it is being written."""
-    try:
-        with Image.open(file) as image:
-            return np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError):
-        return None
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
