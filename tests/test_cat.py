@@ -51,10 +51,21 @@ def rendered(tmp_path, *words):
 
 
 def test_a_pipe_gets_half_blocks_of_the_picture(ply, tmp_path):  # noqa: F811
-    """Exactly as many cells as asked for; their halves are the pixels that render makes."""
-    lines = piped(ply, "--columns", 60, "--rows", 20, "--background", "0.2,0.3,0.4")
+    """As many cells as asked for; their halves are the pixels that render makes, one by one."""
+    words = "--columns", 60, "--rows", 20, "--background", "0.2,0.3,0.4"
     want = rendered(tmp_path, ply, "--size", "60x40", "--background", "0.2,0.3,0.4")
+    lines = piped(ply, *words, env={**PLAIN, "TSPLAT_SAMPLES": "1"})
     np.testing.assert_array_equal(pixels(lines), want)
+
+
+def test_half_blocks_are_the_mean_of_smaller_pixels(ply, tmp_path):  # noqa: F811
+    """Of 4x4, unless TSPLAT_SAMPLES says otherwise; both roundings take half a level at most."""
+    for env, samples in (({}, 4), ({"TSPLAT_SAMPLES": "2"}, 2)):
+        lines = piped(ply, "--columns", 60, "--rows", 20, env={**PLAIN, **env})
+        fine = rendered(tmp_path, ply, "--size", f"{60 * samples}x{40 * samples}")
+        mean = fine.reshape(40, samples, 60, samples, 3).mean((1, 3))
+        assert np.abs(pixels(lines) - mean).max() <= 1
+    tsplat("cat", ply, code=1, env={**PLAIN, "TSPLAT_SAMPLES": "no"})
 
 
 def test_a_pipe_has_80_by_24_cells_at_most(ply, camera_file):  # noqa: F811
@@ -95,7 +106,7 @@ def test_scenes_one_after_the_other(ply, tmp_path):  # noqa: F811
 def test_a_camera_and_a_quality_may_be_asked_for(ply, camera_file, tmp_path):  # noqa: F811
     """Options are render's."""
     words = (ply, "--camera", camera_file, "--quality", "exact")
-    lines = piped(*words, "--columns", 64, "--rows", 24)
+    lines = piped(*words, "--columns", 64, "--rows", 24, env={**PLAIN, "TSPLAT_SAMPLES": "1"})
     np.testing.assert_array_equal(pixels(lines), rendered(tmp_path, *words, "--size", "64x48"))
 
 

@@ -20,7 +20,7 @@ from tsplat.presenters.cells import RESET
 from tsplat.presenters.halfblock import HALFBLOCK
 
 ITERM2, KITTY, SIXEL = (  # of what is wrong with encode, fill would tell as well
-    replace(row, fill=None) for row in (iterm2.ITERM2, kitty.KITTY, sixel.SIXEL)
+    replace(row, fill=None, rest=None) for row in (iterm2.ITERM2, kitty.KITTY, sixel.SIXEL)
 )
 
 
@@ -166,6 +166,33 @@ def keeps_what_it_filled(frame, terminal, previous):
     return b"" if large else kitty.fill(frame, terminal, previous)
 
 
+def strips_too_high(frame, terminal, previous):
+    """The first picture whole; of the others the rows are sent a cell further up."""
+    data = sixel.encode(frame, terminal, previous)
+
+    def moved(match):
+        return b"\x1b[%dH" % max(1, int(match[1]) - 1)
+
+    return re.sub(rb"^\x1b\[(\d+)H", moved, data)
+
+
+def strips_of_bands(frame, terminal, previous):
+    """Whole bands from the first row that changed to the last, whatever the cells are."""
+    one = replace(terminal, cell_height=1.0, rows=int(terminal.pixels[1]) + 1)
+    data = sixel.encode(frame, one, previous)
+
+    def moved(match):
+        return b"\x1b[%dH" % (1 + (int(match[1]) - 1) // int(terminal.cell_height))
+
+    return re.sub(rb"^\x1b\[(\d+)H", moved, data)
+
+
+def few_levels_at_rest(frame, terminal):
+    """A picture that stays is one that moves, in colours of 3 bits."""
+    coarse = np.floor(np.clip(frame.to_uint8() / 255, 0, 1) * 7.999) / 7
+    return iterm2.rest(Frame(coarse, frame.transmittance), terminal)
+
+
 def all_rows(terminal: Terminal, width: int, height: int):
     return width, 2 * terminal.rows
 
@@ -274,6 +301,24 @@ WRONG = {
         replace(KITTY, fill=lambda f, t, p: kitty.fill(f, replace(t, rows=t.rows + 1), p)),
         {"fill"},
     ),
+    "iterm2, what stays is poor": (replace(iterm2.ITERM2, fill=None, rest=few_levels_at_rest),
+                                   {"rest"}),
+    "sixel, what stays is mirrored": (
+        replace(
+            sixel.SIXEL, fill=None,
+            rest=lambda f, t: sixel.rest(Frame(f.rgb[:, ::-1], f.transmittance), t),
+        ),
+        {"rest"},
+    ),
+    "iterm2, what stays is left out": (
+        replace(
+            iterm2.ITERM2, fill=None,
+            rest=lambda f, t: iterm2.rest(f, t).replace(b"inline=1", b"inline=0"),
+        ),
+        {"rest"},
+    ),
+    "sixel, strips a cell too high": (replace(SIXEL, encode=strips_too_high), {"changes"}),
+    "sixel, strips of bands": (replace(SIXEL, encode=strips_of_bands), {"stream", "changes"}),
     "sends no changes": (replace(KITTY, encode=nothing_after_the_first), {"changes"}),
 }  # fmt: skip
 """Name -> the presenter, and the checks that must catch it, and no other."""

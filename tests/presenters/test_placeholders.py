@@ -11,7 +11,7 @@ from pictures import frame_of, photo
 from tsplat.core.errors import ContractError
 from tsplat.presenters.base import Terminal
 from tsplat.presenters.kitty import KITTY
-from tsplat.presenters.placeholders import MARKS, through_tmux
+from tsplat.presenters.placeholders import IDS, MARKS, image_id, through_tmux
 from tsplat.testing import decoders
 from tsplat.testing.presenting import Decoding, presenter_checks, terminals
 
@@ -83,6 +83,45 @@ def test_the_picture_arrives():
     image = photo(400, 160)
     data = KITTY.encode(frame_of(image), TMUX, None)
     np.testing.assert_array_equal(shown(data, TMUX).picture, image)
+
+
+def test_a_picture_that_stays_keeps_its_id():
+    """Others under one of their own each; what moves later takes none of them away."""
+    pictures = [frame_of(photo(40, 40, seed)) for seed in range(20)]
+    ids = set()
+    for frame in pictures:
+        data = KITTY.still(frame, TMUX)
+        assert data == KITTY.still(frame, TMUX)
+        np.testing.assert_array_equal(shown(data, TMUX).picture, frame.to_uint8())
+        ids |= {k["i"] for k, _ in decoders.kitty_commands(past_tmux(data), [])}
+    moving = decoders.kitty_commands(past_tmux(KITTY.encode(pictures[0], TMUX, None)), [])
+    assert len(ids) == len(pictures)
+    assert moving[0][0]["i"] not in ids
+
+
+def test_ids_differ_and_can_be_told_by_cells():
+    """Two bytes each, a colour of the fixed ones of 256 and a mark; below 2^31."""
+    ids = [image_id(number) for number in range(IDS)]
+    assert len(set(ids)) == IDS
+    for image in ids:
+        assert 1 <= image >> 24 < 128
+        assert 16 <= image & 0xFFFFFF <= 255
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [("kitty(0.48.2)", True), ("kitty(0.47.9)", False), ("kitty(1.0.0)", True), ("", False),
+     ("Konsole 26.08.2", False)],
+)  # fmt: skip
+def test_kitty_need_not_keep_moving_pictures(name, hint):
+    """From 0.48 on it is told so, past tmux as well; not of one that stays."""
+    frame = frame_of(photo(40, 40))
+    for terminal in (replace(TMUX, around=name), replace(TMUX, multiplexer="", name=name)):
+        sent = [KITTY.encode(frame, terminal, None), KITTY.fill(frame, terminal, None)]
+        for data in sent:
+            [(keys, _)] = decoders.kitty_commands(past_tmux(data) or data, [])
+            assert keys.get("N") == ("1" if hint else None)
+        assert b"N=1" not in KITTY.still(frame, terminal)
 
 
 def test_cells_are_written_once():

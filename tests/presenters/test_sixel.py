@@ -1,6 +1,7 @@
 """Sixel bytes, decoded again, are the palette picture, and that is near the frame."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from pictures import frame_of, photo, psnr
 
 from tsplat.presenters import sixel
 from tsplat.presenters.base import Terminal
+from tsplat.presenters.dither import distinct, steady
 from tsplat.presenters.sixel import SIXEL
 from tsplat.testing import decoders
 
@@ -39,25 +41,104 @@ def test_any_palette_picture_decodes_to_itself(rows, palette):
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (3, 7), (640, 360), (1100, 25), (5, 600)])
 def test_a_frame_decodes_to_its_palette_picture(width, height):
-    """What encode does is quantize, then exact; also for odd sizes, long runs and many bands."""
+    """Colours are chosen, then all is exact; also for odd sizes, long runs and many bands."""
     image = photo(width, height)
+    palette, rows = sixel.dithered(image, 256)
+    shown = percent(SIXEL.rest(frame_of(image), ROOM))
+    np.testing.assert_array_equal(shown, palette[rows])
+    picture = distinct(image)
+    rows = steady(picture, sixel.levels(palette), sixel.TOLERANCE)
     shown = percent(SIXEL.encode(frame_of(image), ROOM, None))
-    palette, rows = sixel.quantize(image, 256)
     np.testing.assert_array_equal(shown, palette[rows])
 
 
-def test_quality_of_a_photo():
-    """A photo-like frame comes out at 32.5 dB or more, in less bytes than libsixel's 184 kB."""
-    image = photo()
-    data = SIXEL.encode(frame_of(image), ROOM, None)
-    assert psnr(decoders.sixel(data, ROOM).picture, image) > 32.5
-    assert len(data) < 184_000
+@pytest.mark.parametrize(
+    ("encode", "remote", "least", "most"),
+    [
+        (lambda f, t: SIXEL.encode(f, t, None), False, 34.0, 78_000),
+        (lambda f, t: SIXEL.encode(f, t, None), True, 29.0, 35_000),
+        (SIXEL.rest, False, 33.0, 141_000),
+        (SIXEL.rest, True, 33.0, 141_000),
+    ],
+)
+def test_quality_and_size_of_a_photo(encode, remote, least, most):
+    """dB at least and bytes at most; libsixel without diffusion: 32.1 dB, 119 kB."""
+    image, terminal = photo(), replace(ROOM, remote=remote)
+    data = encode(frame_of(image), terminal)
+    assert psnr(decoders.sixel(data, terminal).picture, image) > least
+    assert len(data) < most
+
+
+def strips(data):
+    """(row of cells, height in px) of each picture."""
+    found = re.findall(rb'(?:\x1b\[(\d+)H)?\x1bP0;1;0q"1;1;\d+;(\d+)', data)
+    return [(int(row or 1), int(height)) for row, height in found]
+
+
+@pytest.mark.parametrize(
+    ("changed", "height", "sent"),
+    [
+        ([200], 20, [(10, 60)]),  # rows 180 to 239
+        ([0], 20, [(1, 60)]),
+        ([179, 180], 20, [(7, 120)]),
+        ([3, 350], 20, [(1, 360)]),
+        ([359], 20, [(16, 60)]),
+        ([200], 19, [(7, 114)]),  # 114 to 227; of 19 px a cell
+        ([359], 19, [(19, 18)]),  # 342 to the end, in the middle of a cell
+        ([200], 18.5, [(1, 360)]),
+        ([], 20, []),
+    ],
+)
+def test_only_the_rows_that_changed_are_sent(changed, height, sent):
+    """From a cell's first row to one that ends a cell and a band; all if cells have fractions."""
+    terminal = Terminal(30, -(-360 // int(height)) + 3, 10, height, sixel=True)
+    image = photo(200, 360)
+    after = image.copy()
+    after[changed] ^= 255
+    data = SIXEL.encode(frame_of(after), terminal, frame_of(image))
+    assert strips(data) == sent
+    before = SIXEL.encode(frame_of(image), terminal, None)
+    shown = decoders.sixel(before + b"\x1b[H" + data, terminal)
+    assert shown.faults == ()
+    if changed:
+        assert psnr(shown.picture, after) > 30
+    if sent and sent != [(1, 360)]:
+        assert len(data) < len(before) * 0.7
+
+
+def test_a_change_in_few_pixels_is_sent_where_they_are_shown():
+    """Row 5 of 36, shown in rows 50 to 59 of 360: the first 60 rows."""
+    terminal = Terminal(30, 19, 10, 20, sixel=True)
+    image = photo(30, 36)
+    after = image.copy()
+    after[5] ^= 255
+    data = SIXEL.fill(frame_of(after), terminal, frame_of(image))
+    assert strips(data) == [(1, 60)]
+
+
+def test_runs_go_on_only_as_far_as_the_tolerance():
+    """Of two greys 5 levels apart the left one goes on, 6 apart not: 100 squared levels."""
+    for step, colors in ((5, 1), (6, 2)):
+        image = np.full((6, 40, 3), 100, np.uint8)
+        image[:, 20:] += np.uint8(step)
+        palette = np.array([[100] * 3, [100 + step] * 3], np.uint8)
+        rows = steady(distinct(image), palette, 100)
+        assert len(np.unique(rows)) == colors
+
+
+def test_several_colours_go_over_a_band_at_once():
+    """One after the other from left to right they need no ``$``; what lies over others does."""
+    palette = np.array([[n * 9] * 3 for n in range(10)], np.uint8)
+    apart = np.repeat(np.arange(10, dtype=np.uint8), 5)[None].repeat(6, 0)
+    assert b"$" not in sixel.sixel(palette, apart)
+    apart[0, 0] = 9
+    assert sixel.sixel(palette, apart).count(b"$") == 1
 
 
 def test_dithering_pays_off_when_seen_from_afar():
     """Mean over 8x8 px: the dithered picture is nearer than the nearest palette colours are."""
     image = photo(noise=0)
-    palette, rows = sixel.quantize(image, 64)
+    palette, rows = sixel.dithered(image, 64)
     colors = np.rint(palette * 2.55)
     distance = (np.square(image[:, :, None].astype(float) - colors)).sum(-1)
     nearest = colors[distance.argmin(-1)]

@@ -4,6 +4,8 @@ Each row holds what a terminal of that version sent back when asked (90x30 cells
 asked, without what it did not answer. tmux 3.3a ran inside kitty, 3.8 inside foot.
 """
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,6 +18,7 @@ from tsplat.terminal.answers import (
     parse_answers,
     resized,
     split_answers,
+    told_size,
 )
 
 TRUECOLOR = 1 << 24
@@ -34,48 +37,58 @@ def version(text):
     return b"\x1bP>|" + text + b"\x1b\\"
 
 
+def modes(sizes, mouse, keys=b""):
+    """Answers to DECRQM of 2048 and 1016, and to kitty's keyboard query."""
+    return b"\x1b[?2048;%d$y\x1b[?1016;%d$y" % (sizes, mouse) + keys
+
+
+KEYS = b"\x1b[?0u"
+
 KITTY26 = (
-    OK + version(b"kitty(0.26.5)") + SYNC + PIXELS
+    OK + version(b"kitty(0.26.5)") + SYNC + modes(0, 2, KEYS) + PIXELS
     + b"\x1bP0+r524742\x1b\\\x1bP0+r5463\x1b\\\x1bP1$r48:2:1:2:3m\x1b\\\x1b[?62;c"
 )  # fmt: skip
 KITTY48 = (
-    OK + version(b"kitty(0.48.2)") + SYNC + PIXELS
+    OK + version(b"kitty(0.48.2)") + SYNC + modes(2, 2, KEYS) + PIXELS
     + b"\x1bP0+r524742\x1b\\\x1bP1+r5463\x1b\\\x1bP1$r0;48:2:1:2:3m\x1b\\\x1b[?62;52;c"
 )  # fmt: skip
 KONSOLE = (
     b"\x1b[?1;0;256S\x1b[?2;0;16384;16384S\x1b]1337;ReportCellSize=19.0;10.0;1.0\x07\x1b[?62;1;4c"
 )
 KONSOLE22 = OK + version(b"Konsole 22.12.3") + PIXELS + KONSOLE
-KONSOLE26 = OK + version(b"Konsole 26.08.2") + PIXELS + KONSOLE
+KONSOLE26 = OK + version(b"Konsole 26.08.2") + KEYS + PIXELS + KONSOLE
 XTERM_PLAIN = (
-    version(b"XTerm(379)") + NO_SYNC + PIXELS + b"\x1b[?1;3S\x1b[?2;3S" + KEPT
+    version(b"XTerm(379)") + NO_SYNC + modes(0, 2) + PIXELS + b"\x1b[?1;3S\x1b[?2;3S" + KEPT
     + b"\x1b[?64;1;2;6;9;15;16;17;18;21;22;28c"
 )  # fmt: skip
 XTERM_VT340 = (
-    version(b"XTerm(379)") + NO_SYNC + PIXELS + b"\x1b[?1;0;1024S\x1b[?2;0;1000;1000S" + KEPT
-    + b"\x1b[?63;1;2;4;6;9;15;16;22;28c"
+    version(b"XTerm(379)") + NO_SYNC + modes(0, 2) + PIXELS
+    + b"\x1b[?1;0;1024S\x1b[?2;0;1000;1000S" + KEPT + b"\x1b[?63;1;2;4;6;9;15;16;22;28c"
 )  # fmt: skip
 MLTERM = (
-    NO_SYNC + PIXELS + b"\x1b[?1;0;1024S\x1b[?1;3;0S\x1bP0+r\x1b\\\x1bP0+r\x1b\\"
+    NO_SYNC + modes(0, 0) + PIXELS + b"\x1b[?1;0;1024S\x1b[?1;3;0S\x1bP0+r\x1b\\\x1bP0+r\x1b\\"
     b"\x1bP1$r0;48;5;16m\x1b\\\x1b[?63;1;2;3;4;6;7;15;18;22;29c"
 )
 FOOT13 = (
-    version(b"foot(1.13.1)") + SYNC + b"\x1b[4;600;900t\x1b[6;20;10t"
+    version(b"foot(1.13.1)") + SYNC + modes(0, 2, KEYS) + b"\x1b[4;600;900t\x1b[6;20;10t"
     b"\x1b[?1;0;1024S\x1b[?2;0;10000;10000S\x1bP1+r524742=38\x1b\\\x1bP1+r5463\x1b\\"
     + KEPT + b"\x1b[?62;4;22c"
 )  # fmt: skip
 XTERM_JS = (
-    SYNC + b"\x1b[4;570;867t\x1b[6;19;10t\x1b[?1;0;256S\x1b[?2;0;4096;4096S"
+    SYNC + modes(0, 2) + b"\x1b[4;570;867t\x1b[6;19;10t\x1b[?1;0;256S\x1b[?2;0;4096;4096S"
     b"\x1bP1$r0m\x1b\\\x1b[?62;4;9;22c"
 )
 XTERM_JS_BETA = (
-    OK + version(b"xterm.js(6.1.0-beta.304)") + SYNC + b"\x1b[4;570;867t\x1b[6;19;10t"
+    OK + version(b"xterm.js(6.1.0-beta.304)") + SYNC + modes(0, 2) + b"\x1b[4;570;867t\x1b[6;19;10t"
     b"\x1b[?1;0;4096S\x1b[?2;0;4096;4096S\x1b]1337;ReportCellSize=19.000;9.633;1.000\x1b\\"
     b"\x1bP1$r0m\x1b\\\x1b[?62;4;9;22c"
 )
 TMUX33 = version(b"tmux 3.3a") + b"\x1b[?1;2c"
 TMUX38 = (
-    version(b"tmux 3.8") + SYNC + b"\x1b[4;460;800t\x1b[6;20;10t\x1b[?1;0;1024S\x1b[?2;3;0S"
+    version(b"tmux 3.8")
+    + SYNC
+    + modes(0, 0)
+    + b"\x1b[4;460;800t\x1b[6;20;10t\x1b[?1;0;1024S\x1b[?2;3;0S"
     b"\x1bP0$r\x1b\\\x1b[?1;2;4c"
 )
 TMUX = {"TERM": "tmux-256color", "TERM_PROGRAM": "tmux", "TMUX": "/tmp/tmux,1,0", **COLOR}
@@ -86,10 +99,11 @@ ALLOW = "tmux lets no pictures through until told `tmux set -g allow-passthrough
 RECORDED = {
     "kitty 0.26": (KITTY26, {"TERM": "xterm-kitty", **COLOR}, WINSIZE, Terminal(
         90, 30, 10, 19, kitty=True, synchronized=True, draws_blocks=True,
-        name="kitty(0.26.5)")),
+        name="kitty(0.26.5)", keyboard=True, pixel_mouse=True)),
     "kitty 0.48": (KITTY48, {"TERM": "xterm-kitty"}, WINSIZE, Terminal(
         90, 30, 10, 19, kitty=True, synchronized=True, draws_blocks=True,
-        name="kitty(0.48.2)", placeholders=True)),
+        name="kitty(0.48.2)", placeholders=True, keyboard=True, in_band_resize=True,
+        pixel_mouse=True)),
     "konsole 22": (KONSOLE22, XTERM256, WINSIZE, Terminal(
         90, 30, 10, 19, kitty=True, iterm2=True, sixel=True, sixel_max=(16384, 16384),
         draws_blocks=True,
@@ -97,11 +111,12 @@ RECORDED = {
     "konsole 26": (KONSOLE26, XTERM256, (30, 90, 904, 570), Terminal(
         90, 30, 10, 19, kitty=True, iterm2=True, sixel=True, sixel_max=(16384, 16384),
         draws_blocks=True,
-        name="Konsole 26.08.2")),
-    "xterm": (XTERM_PLAIN, XTERM, WINSIZE, Terminal(90, 30, 10, 19, name="XTerm(379)")),
+        name="Konsole 26.08.2", keyboard=True, pixel_mouse=True)),
+    "xterm": (XTERM_PLAIN, XTERM, WINSIZE, Terminal(90, 30, 10, 19, name="XTerm(379)",
+        pixel_mouse=True)),
     "xterm vt340": (XTERM_VT340, XTERM, WINSIZE, Terminal(
         90, 30, 10, 19, sixel=True, sixel_registers=1024, sixel_max=(1000, 1000),
-        name="XTerm(379)")),
+        name="XTerm(379)", pixel_mouse=True)),
     "mlterm 3.9.0": (MLTERM, {"TERM": "mlterm"}, WINSIZE, Terminal(
         90, 30, 10, 19, colors=256, iterm2=True, sixel=True, sixel_registers=1024,
         name="mlterm")),
@@ -111,14 +126,17 @@ RECORDED = {
     "foot 1.13": (FOOT13, {"TERM": "foot"}, (30, 90, 900, 600), Terminal(
         90, 30, 10, 20, sixel=True, sixel_registers=1024, sixel_max=(10000, 10000),
         synchronized=True, draws_blocks=True,
-        name="foot(1.13.1)")),
+        name="foot(1.13.1)", keyboard=True, pixel_mouse=True)),
     "xterm.js 6.0": (XTERM_JS, XTERM256, (30, 90, 867, 570), Terminal(
-        90, 30, 867 / 90, 19, sixel=True, sixel_max=(4096, 4096), synchronized=True)),
+        90, 30, 867 / 90, 19, sixel=True, sixel_max=(4096, 4096), synchronized=True,
+        pixel_mouse=True)),
     "xterm.js 6.0, no pixels": (XTERM_JS, XTERM256, (30, 90, 0, 0), Terminal(
-        90, 30, 867 / 90, 19, sixel=True, sixel_max=(4096, 4096), synchronized=True)),
+        90, 30, 867 / 90, 19, sixel=True, sixel_max=(4096, 4096), synchronized=True,
+        pixel_mouse=True)),
     "xterm.js 6.1 beta": (XTERM_JS_BETA, XTERM256, (30, 90, 867, 570), Terminal(
         90, 30, 867 / 90, 19, kitty=True, iterm2=True, sixel=True, sixel_registers=4096,
-        sixel_max=(4096, 4096), synchronized=True, name="xterm.js(6.1.0-beta.304)")),
+        sixel_max=(4096, 4096), synchronized=True, name="xterm.js(6.1.0-beta.304)",
+        pixel_mouse=True)),
     "tmux 3.3a": (TMUX33, TMUX, (23, 80, 800, 437), Terminal(
         80, 23, 10, 19, name="tmux 3.3a", multiplexer="tmux", advice=ALLOW)),
     "tmux 3.8": (TMUX38, TMUX, (23, 80, 800, 460), Terminal(
@@ -272,6 +290,47 @@ def test_resizing_keeps_the_cell():
     assert resized(terminal, (40, 120, 0, 0)).cell_width == 10
 
 
+def test_a_size_told_in_band():
+    """It counts as one that the kernel tells; numbers that no window has do not."""
+    terminal = Terminal(90, 30, 10, 19)
+    told = told_size(terminal, (40, 120, 1200, 760))
+    assert (told.columns, told.rows, told.cell_width) == (120, 40, 10)
+    assert told_size(terminal, (40, 120, 0, 0)) == Terminal(120, 40, 10, 19)
+    wall = told_size(terminal, (216, 768, 7680, 4320))  # 8K
+    assert (wall.columns, wall.rows) == (768, 216)
+    for hostile in (
+        (0, 0, 0, 0), (0, 80, 800, 456), (24, 0, 800, 456), (999999, 80, 800, 456),
+        (4096, 4096, 0, 0), (24, 80, 999999, 999999), (24, 80, 60000, 60000), (1, 1, 65535, 65535),
+    ):  # fmt: skip
+        assert told_size(terminal, hostile) is terminal
+
+
+@given(st.tuples(*[st.integers(0, 5000) | st.integers(0, 999999)] * 4))
+def test_whatever_size_is_told(size):
+    """The picture for it has pixels, and no more than memory for it."""
+    width, height = told_size(Terminal(90, 30, 10, 19), size).pixels
+    assert 0 < width * height <= 1 << 27
+
+
+@pytest.mark.parametrize("value", range(6))
+def test_modes_by_number(value):
+    """DECRPM: 1 to 3 are there; 0 is unknown, 4 can never be set. One says nothing of another."""
+    for mode, field in ((2026, "synchronized"), (2048, "in_band_resize"), (1016, "pixel_mouse")):
+        facts = parse_answers(b"\x1b[?%d;%d$y\x1b[?62;c" % (mode, value), XTERM, WINSIZE)
+        assert getattr(facts, field) is (value in (1, 2, 3))
+        expected = Terminal(90, 30, 10, 19, colors=16)
+        assert facts == replace(expected, **{field: value in (1, 2, 3)})
+
+
+def test_the_keyboard_protocol():
+    """Any answer to its query, whatever flags are on; an older Konsole has no pixels either."""
+    for flags in (b"0", b"1", b"31"):
+        assert parse_answers(b"\x1b[?" + flags + b"u\x1b[?62c", XTERM, WINSIZE).keyboard
+    assert not parse_answers(b"\x1b[u\x1b[?u\x1b[?62c", XTERM, WINSIZE).keyboard
+    for name, has in ((b"Konsole 25.04.2", False), (b"Konsole 26.08.0", True), (b"Konsole", False)):
+        assert parse_answers(version(name), XTERM, WINSIZE).pixel_mouse is has
+
+
 def test_questions_are_only_asked():
     """Nothing is tried out on the screen, and tmux gets no title: kitty's query is by itself."""
     assert b"a=q" in KITTY_QUESTION
@@ -345,6 +404,14 @@ def test_alacritty_is_known_by_its_terminfo():
     environ = {"TERM": "alacritty"}
     assert parse_answers(b"\x1b[?6c", environ, WINSIZE).draws_blocks
     assert not parse_answers(b"\x1b[?6c", {**environ, "TMUX": "1"}, WINSIZE).draws_blocks
+
+
+def test_the_number_of_samples_can_be_set():
+    """TSPLAT_SAMPLES, 1 to 8; nothing else is understood."""
+    assert parse_answers(b"", {**XTERM, "TSPLAT_SAMPLES": "3"}, WINSIZE).samples == 3
+    assert parse_answers(b"", XTERM, WINSIZE).samples == 0
+    with pytest.raises(TerminalError, match="TSPLAT_SAMPLES: expected 1 to 8, got '0'"):
+        parse_answers(b"", {**XTERM, "TSPLAT_SAMPLES": "0"}, WINSIZE)
 
 
 def test_unknown_block_characters_are_an_error():

@@ -42,6 +42,10 @@ def test_every_recorded_terminal(name):
     assert (rows["kitty a=q" + where][1] == "kitty graphics") is facts.kitty
     assert rows["ReportCellSize"][1].startswith("iTerm2") is facts.iterm2
     assert (rows["DECRQM 2026"][1] == "synchronized output") is facts.synchronized
+    assert (rows["DECRQM 1016"][1] == "the mouse moves in px") is facts.pixel_mouse
+    assert (rows["DECRQM 2048"][1] == "it tells its new size") is facts.in_band_resize
+    told = "told when a key is let go"
+    assert (rows["kitty keyboard CSI ?u"][1] == told) is facts.keyboard
     assert (rows["DA1"][0] == NOTHING) is (name == "ghostty-web")
 
 
@@ -51,6 +55,9 @@ def test_answers_are_shown():
     assert rows["kitty a=q"] == ("OK", "kitty graphics")
     assert rows["kitty a=q,t=s"] == ("EBADF:no", "shared memory not read")
     assert rows["XTVERSION"][0] == "kitty(0.48.2)"
+    assert rows["kitty keyboard CSI ?u"][0] == "[?0u"
+    assert rows["DECRQM 1016"][0] == "[?1016;2$y"
+    assert rows["DECRQM 2048"][0] == "[?2048;2$y"
     assert rows["DA1"][0] == "[?62;52;c"
 
 

@@ -31,6 +31,20 @@ def test_profiles(name, presenter):
     assert name in PROFILES
 
 
+def test_profiles_of_input():
+    """What a named terminal tells of keys and the mouse; nothing where that is not known."""
+    told = {
+        name: (terminal.keyboard, terminal.pixel_mouse, terminal.in_band_resize)
+        for name in PROFILES
+        for terminal in [overridden(overridden(Terminal(), "+keys,+pixel-mouse,+resize"), name)]
+    }
+    assert told["kitty"] == told["ghostty"] == told["foot"] == (True, True, True)
+    assert told["konsole"] == (True, True, False)
+    assert told["vscode"] == (False, True, False)
+    for name in ("plain", "iterm2", "mlterm", "wezterm"):
+        assert told[name] == (False, False, False)
+
+
 @pytest.mark.parametrize("feature", FEATURES)
 def test_features(feature):
     """Each can be added and taken away, and nothing else changes."""

@@ -6,8 +6,9 @@ import threading
 import time
 
 import pytest
-from fakes import DA1, TELLS, FakeTerminal, left_on
+from fakes import DA1, FakeTerminal
 
+from tests.modes import TELLS, left_on
 from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
 from tsplat.terminal import Event, Screen, screen

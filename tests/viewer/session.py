@@ -103,7 +103,7 @@ class Session:
         assert self.process.returncode == code, error
         assert b"Traceback" not in error
         assert termios.tcgetattr(self.slave) == self.before
-        tail = self.output[self.output.rindex(LEAVE) - 60 :]
+        tail = self.output[self.output.rindex(LEAVE) - 120 :]
         for undo in (b"\x1b[?2026l", b"\x1b[?1002l", b"\x1b[?25h", LEAVE):
             assert undo in tail, undo
         return error

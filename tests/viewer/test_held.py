@@ -52,12 +52,11 @@ def told(strokes, delay, interval, terminal):
         end, number = min([stroke.end, *others]), 0
         while (at := stroke.begin + delay + number * interval) < end:
             number += 1
-            if terminal == "konsole":
+            if terminal == "konsole" and at + 0.002 < end:
+                action = "press" if number % 4 == 0 else "repeat"
                 events.append((at, Event("key", stroke.key, "release", code=code)))
-                if at + 0.002 < end:
-                    action = "press" if number % 4 == 0 else "repeat"
-                    events.append((at + 0.002, Event("key", stroke.key, action, code=code)))
-            else:
+                events.append((at + 0.002, Event("key", stroke.key, action, code=code)))
+            elif terminal != "konsole":
                 action = "press" if terminal == "plain" else "repeat"
                 events.append((at, Event("key", stroke.key, action, code=code)))
     return sorted(events, key=lambda item: item[0])

@@ -16,8 +16,10 @@ from tsplat.core.types import Scene
 from tsplat.core.workspace import Workspace
 from tsplat.plan import make_plan
 from tsplat.plugins import plugins
-from tsplat.presenters.base import Presenter, Terminal, encoded
+from tsplat.presenters.base import Presenter, Terminal, encoded, sampling
+from tsplat.presenters.enlarge import averaged
 from tsplat.terminal import choose_presenter, parse_answers
+from tsplat.terminal.answers import wanted_samples
 from tsplat.terminal.device import window_size
 from tsplat.terminal.inline import (
     NEW_LINE,
@@ -63,7 +65,8 @@ def _terminal(environ: Mapping[str, str]) -> Terminal:
     if not os.isatty(out):
         columns, rows = (_number(environ.get(name)) for name in ("COLUMNS", "LINES"))
         colors = 2 if environ.get("NO_COLOR") else 1 << 24
-        return Terminal(columns or 80, rows or 24, colors=colors, tty=False)
+        samples = wanted_samples(environ)
+        return Terminal(columns or 80, rows or 24, colors=colors, samples=samples, tty=False)
     if environ.get("TERM", "") in ("", "dumb"):
         raise TerminalError(
             "TERM=dumb shows no picture; `tsplat render SCENE -o out.png` makes one"
@@ -89,11 +92,13 @@ def _drawn(
     scene = load(arguments)
     area = _area(arguments, scene, terminal)
     size, pixel = presenter.size(area), presenter.pixel(area)
-    camera = _camera(arguments, scene, size, pixel)
+    samples = sampling(presenter, area)
+    camera = _camera(arguments, scene, size, pixel).resized(*(n * samples for n in size))
     settings, _ = calibrated(arguments, scene, camera, params(arguments))
     plan = make_plan(scene, backend=arguments.backend, threads=arguments.threads, params=settings)
     frame = plan.run(scene, camera, Workspace(plan.threads)).frame
-    payload = encoded(presenter, frame.over(arguments.background or (0.0, 0.0, 0.0)), area)
+    frame = averaged(frame.over(arguments.background or (0.0, 0.0, 0.0)), samples)
+    payload = encoded(presenter, frame, area)
     end = NEW_LINE if terminal.tty else b"\n"
     lines = text_lines(payload)
     if lines is not None:

@@ -211,7 +211,21 @@ def render_command(
         words += ["--far", repr(float(camera.far))]
     if any(view.look.background):
         words.append("--background=" + _numbers(view.look.background))
-    return shlex.join(words)
+    if view.look.backend != "auto":
+        words += ["--backend", view.look.backend]
+    return " ".join(map(_quoted, words))
+
+
+def _quoted(word: str) -> str:
+    """For a shell; a name's control characters reach no screen, ``$'...'`` has them in letters."""
+    if word.isprintable():
+        return shlex.quote(word)
+    return "$'" + "".join(map(_escaped, os.fsencode(word))) + "'"
+
+
+def _escaped(byte: int) -> str:
+    plain = chr(byte).isalnum() and byte < 128
+    return chr(byte) if plain or chr(byte) in "/._- " else f"\\x{byte:02x}"
 
 
 def _numbers(values: Iterable[float]) -> str:

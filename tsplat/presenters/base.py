@@ -42,6 +42,7 @@ class Terminal:
     sixel_registers: int = 256  # colour registers at most
     sixel_max: tuple[int, int] = (0, 0)  # px, largest sixel picture; 0 for unknown
     glyphs: str = "quadrants"  # blocks worth showing: halves, quadrants, sextants or octants
+    samples: int = 0  # px rendered for each one shown, each way; 0: as many as the presenter says
     draws_blocks: bool = False  # known to draw those itself, whatever the font has
     synchronized: bool = False  # DEC mode 2026
     name: str = ""  # what it calls itself (XTVERSION), printable
@@ -90,8 +91,8 @@ class Presenter:
     While the picture moves it may have fewer pixels than ``size``. ``fill(frame, terminal,
     previous)``, where it is offered, is ``encode`` for those: the picture covers what one of
     ``size`` would. Of both the ``previous`` frame may be of either kind. ``rest(frame, terminal)``,
-    where it is offered, are the bytes for a picture of ``size`` that stays for a while, whatever the
-    screen shows: better than ``encode``'s, which then may be as quick as moving pictures want it.
+    where it is offered, are the bytes for a picture of ``size`` that stays for a while, whatever
+    the screen shows: better than ``encode``'s, which then may be as quick as moving pictures want.
     """
 
     name: str
@@ -104,11 +105,19 @@ class Presenter:
     still: Callable[[Frame, Terminal], bytes] | None = None
     clear: Callable[[Terminal], bytes] = _nothing  # takes the picture away again
     fps: Callable[[Terminal], float] = _any  # pictures a second at most
+    # px rendered for each one shown, each way: Gaussians are widened to a pixel, so where pixels
+    # are as large as half a cell, the mean of smaller ones is nearer to the scene
+    samples: int = 1
     rank: int = -1  # "auto" takes the highest that is supported
     # encode for a frame that stays for a while; None: encode's are as good as can be
     rest: Callable[[Frame, Terminal], bytes] | None = None
     # encode for a frame of fewer px, shown over the same area; None: the viewer repeats pixels
     fill: Callable[[Frame, Terminal, Frame | None], bytes] | None = None
+
+
+def sampling(presenter: Presenter, terminal: Terminal) -> int:
+    """How many px are rendered for each one shown, each way, at full size."""
+    return terminal.samples or presenter.samples
 
 
 def no_pictures(terminal: Terminal) -> str | None:
@@ -137,8 +146,11 @@ def changed_rows(image: U8, previous: Frame | None) -> range | None:
     every = range(len(image))
     if previous is None or previous.rgb.shape[:2] != image.shape[:2]:
         return every
-    first, last = (_first_change(image, previous, rows) for rows in (every, every[::-1]))
-    return None if first is None or last is None else range(first, last + 1)
+    first = _first_change(image, previous, every)
+    if first is None:
+        return None
+    last = _first_change(image, previous, every[::-1])
+    return range(first, first + 1 if last is None else last + 1)
 
 
 def _first_change(image: U8, previous: Frame, rows: range) -> int | None:
@@ -166,7 +178,7 @@ def changed(image: U8, previous: Frame | None) -> bool:
 def encoded(
     presenter: Presenter, frame: Frame, terminal: Terminal, previous: Frame | None = None
 ) -> bytes:
-    """``presenter.encode``'s bytes; of a picture that stays, ``still``'s or ``rest``'s if there are.
+    """``presenter.encode``'s bytes; of one that stays, ``still``'s or ``rest``'s if there are.
 
     Raises:
         PluginError: the presenter failed.

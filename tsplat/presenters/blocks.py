@@ -159,6 +159,7 @@ BLOCKS = Presenter(
     size=size,
     unsupported=unsupported,
     pixel=pixel,
+    samples=2,
     rank=15,
 )
 

@@ -74,7 +74,7 @@ def _moments(colors: U8, counts: I64, labels: NDArray[Any], n: int) -> tuple[F64
     weights = np.bincount(labels, counts, n)
     sums = np.stack([np.bincount(labels, counts * wide[:, c], n) for c in range(3)], 1)
     squares = np.stack([np.bincount(labels, counts * wide[:, c] ** 2, n) for c in range(3)], 1)
-    return weights, sums, squares
+    return weights.astype(np.float64), sums.astype(np.float64), squares.astype(np.float64)
 
 
 def adaptive_palette(picture: Colors, n: int) -> F64:
@@ -161,7 +161,7 @@ def _gain(colors: F32, palette: F32, origin: F32, grain: float) -> F32:
 
 
 OWN_GRAIN = 0.3
-"""For palettes of the picture's own: as near as the nearest colours, and 2 to 3 dB nearer blurred."""
+"""For palettes of the picture's own: 2 to 3 dB nearer than the nearest colours when blurred."""
 
 
 def dither(picture: Colors, palette: U8) -> U8:

@@ -66,6 +66,7 @@ HALFBLOCK = Presenter(
     size=size,
     unsupported=unsupported,
     pixel=lambda terminal: (terminal.cell_width, terminal.cell_height / 2),
+    samples=4,
     rank=10,
 )
 

@@ -13,16 +13,17 @@ they are written once, and show whatever the id stands for by then.
 
 from __future__ import annotations
 
+import re
 from binascii import b2a_base64
 from collections.abc import Iterator
 from dataclasses import replace
 from math import ceil
+from zlib import crc32
 
 from tsplat.core.types import U8, Frame
 from tsplat.hookspecs import hookimpl
 from tsplat.presenters.base import Presenter, Terminal, changed, no_pictures, pixels
-from tsplat.presenters.placeholders import IMAGE_ID as TMUX_ID
-from tsplat.presenters.placeholders import MARKS, cells, through_tmux
+from tsplat.presenters.placeholders import IDS, MARKS, cells, image_id, through_tmux
 from tsplat.presenters.png import png
 
 APC = b"\x1b_G"  # Application Program Command; G for graphics
@@ -30,23 +31,38 @@ ST = b"\x1b\\"  # String Terminator
 CHUNK = 4096  # bytes of base64 in one sequence, at most
 IMAGE_ID = 0x7473706C  # "tspl"; below 2^31, because Konsole reads ids as signed
 PLACEMENT_ID = 1
+TMUX_ID = image_id(0)  # that of moving pictures; the others are for those that stay
+VERSION = re.compile(r"kitty\((\d+)\.(\d+)")
+TRANSIENT = 0, 48  # kitty's first version that has usage hints
 
 
 def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     """The frame pixel by pixel, exactly; b"" if it looks like ``previous``."""
-    return _encode(frame, terminal, previous, None)
+    return _encode(frame, terminal, previous, None, TMUX_ID, _hint(terminal))
 
 
 def fill(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     """The frame scaled by the terminal to all columns, and all rows but the last."""
-    return _encode(frame, terminal, previous, (terminal.columns, max(1, terminal.rows - 1)))
+    area = terminal.columns, max(1, terminal.rows - 1)
+    return _encode(frame, terminal, previous, area, TMUX_ID, _hint(terminal))
+
+
+def _hint(terminal: Terminal) -> bytes:
+    """N=1 where it is known: that the picture is soon replaced, so that no disk need keep it."""
+    version = VERSION.match(terminal.around if terminal.multiplexer else terminal.name)
+    known = version is not None and (int(version[1]), int(version[2])) >= TRANSIENT
+    return b"N=1," if known else b""
 
 
 def _encode(
-    frame: Frame, terminal: Terminal, previous: Frame | None, area: tuple[int, int] | None
+    frame: Frame,
+    terminal: Terminal,
+    previous: Frame | None,
+    area: tuple[int, int] | None,
+    tmux_id: int,
+    hint: bytes,
 ) -> bytes:
     """The frame at its size, or over ``area``: columns and rows.
-
 
     C=1 leaves the cursor where it is, so that nothing scrolls; q=2 asks for no answer.
     """
@@ -58,12 +74,12 @@ def _encode(
         columns, rows = _cells(frame, terminal)
         if area is not None:
             columns, rows = (min(n, len(MARKS)) for n in area)
-        keys = b"a=T,U=1,i=%d,c=%d,r=%d,q=2,%s" % (TMUX_ID, columns, rows, keys)
+        keys = b"a=T,U=1,i=%d,c=%d,r=%d,q=2,%s%s" % (tmux_id, columns, rows, hint, keys)
         there = previous is not None and _cells(previous, terminal) == (columns, rows)
-        text = b"" if there else cells(columns, rows)
+        text = b"" if there else cells(columns, rows, tmux_id)
         return b"".join(map(through_tmux, in_chunks(keys, data))) + text
     scaled = b"" if area is None else b"c=%d,r=%d," % area
-    keys = b"a=T,i=%d,p=%d,C=1,q=2,%s%s" % (IMAGE_ID, PLACEMENT_ID, scaled, keys)
+    keys = b"a=T,i=%d,p=%d,C=1,q=2,%s%s%s" % (IMAGE_ID, PLACEMENT_ID, scaled, hint, keys)
     return b"".join(in_chunks(keys, data))
 
 
@@ -111,9 +127,14 @@ def in_chunks(keys: bytes, data: bytes) -> Iterator[bytes]:
 
 
 def still(frame: Frame, terminal: Terminal) -> bytes:
-    """The frame without an id: nothing that comes later can replace or delete it."""
+    """The frame without an id: nothing that comes later can replace or delete it.
+
+    Inside tmux its cells have to name one: one of :data:`IDS`, by what it shows, so that another
+    picture hardly ever takes its place.
+    """
+    number = 1 + crc32(pixels(frame).data, frame.width) % (IDS - 1)
     identity = b"i=%d,p=%d," % (IMAGE_ID, PLACEMENT_ID)
-    return encode(frame, terminal, None).replace(identity, b"", 1)
+    return _encode(frame, terminal, None, None, image_id(number), b"").replace(identity, b"", 1)
 
 
 def clear(terminal: Terminal) -> bytes:

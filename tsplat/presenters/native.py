@@ -1,7 +1,7 @@
 """The inner loops of ``dither.py`` and ``sixel.py`` by C, where that was built.
 
-To the same bits as NumPy's and in a fraction of the time; meanwhile Python's other threads run. Each
-function has its namesake there, which says what it is.
+To the same bits as NumPy's and in a fraction of the time; meanwhile Python's other threads run.
+Each function has its namesake there, which says what it is.
 """
 
 from __future__ import annotations
@@ -12,10 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.errors import KernelError
-from tsplat.core.types import F32, F64, I32, I64, U8
+from tsplat.core.types import F64, I32, I64, U8
 
+ffi: Any
+lib: Any
 try:
-    from tsplat.presenters._encode import ffi, lib
+    import tsplat.presenters._encode as built
+
+    ffi, lib = built.ffi, built.lib
 except ImportError:  # no compiler when tsplat was installed
     ffi = lib = None
 
@@ -31,8 +35,8 @@ def _check(status: int, what: str) -> int:
     return status
 
 
-def to_uint8(values: F32) -> U8:
-    """What Frame.to_uint8 makes of ``values`` [H, W, 3]."""
+def to_uint8(values: NDArray[Any]) -> U8:
+    """What Frame.to_uint8 makes of ``values`` [H, W, 3], float32."""
     values = np.ascontiguousarray(values)
     levels = np.empty(values.shape, np.uint8)
     lib.tsplat_levels(pointer(values, "float"), values.size, pointer(levels, "uint8_t"))

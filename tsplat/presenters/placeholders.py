@@ -11,9 +11,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 PLACEHOLDER = "\U0010eeee"
-COLOR = 0x6C  # of 256, so that it gets through where 24 bits would be rounded: the id's low byte
-TOP = 0x74  # the id's top byte, told by a third mark; the two in the middle are 0
-IMAGE_ID = TOP << 24 | COLOR
+COLORS = 240  # of 256, so that they get through where 24 bits would be rounded: the id's low byte
+FIRST_COLOR = 16  # below are those that themes, and old ways to say them, change
+TOPS = 126  # the id's top byte, told by a third mark, from 1 on; the two in the middle are 0
+IDS = COLORS * TOPS
 
 # rowcolumn-diacritics.txt of kitty: marks above the base (class 230) of Unicode 6.0 that neither
 # decompose nor melt into letters, as (first, count)
@@ -43,17 +44,21 @@ def through_tmux(data: bytes) -> bytes:
     return ESC + b"Ptmux;" + data.replace(ESC, ESC + ESC) + ESC + b"\\"
 
 
+def image_id(number: int) -> int:
+    """That of the picture ``number`` of :data:`IDS`: below 2^31, as all of ours."""
+    return 1 + number // COLORS << 24 | FIRST_COLOR + number % COLORS
+
+
 @lru_cache(maxsize=4)
-def cells(columns: int, rows: int) -> bytes:
-    """The picture's cells from the top left on.
+def cells(columns: int, rows: int, image: int) -> bytes:
+    """The cells of the picture with the id ``image`` from the top left on.
 
     Each has all three marks, although a cell takes missing ones from its left neighbour: that
     neighbour may be under a window of tmux's.
     """
+    top = MARKS[image >> 24]
     lines = []
     for row in range(rows):
-        line = "".join(
-            PLACEHOLDER + MARKS[row] + MARKS[column] + MARKS[TOP] for column in range(columns)
-        )
+        line = "".join(PLACEHOLDER + MARKS[row] + MARKS[column] + top for column in range(columns))
         lines.append(b"\x1b[%d;1H" % (row + 1) + line.encode())
-    return b"\x1b[38;5;%dm" % COLOR + b"".join(lines) + b"\x1b[m"
+    return b"\x1b[38;5;%dm" % (image & 0xFF) + b"".join(lines) + b"\x1b[m"

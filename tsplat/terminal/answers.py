@@ -66,6 +66,7 @@ _ANSWER = re.compile(
 )
 _XTVERSION = re.compile(rb"\x1bP>\|([^\x1b]*)\x1b\\")
 _KITTY_OK = re.compile(rb"\x1b_Gi=([0-9]{1,9})[^;\x1b]*;OK\x1b\\")
+_KONSOLE_VERSION = re.compile(r"Konsole ([0-9]{1,4})\.([0-9]{1,4})")
 _KITTY_VERSION = re.compile(r"kitty\(([0-9]{1,4})\.([0-9]{1,4})")
 _MODE = re.compile(rb"\x1b\[\?(2026|2048|1016);[123]\$y")  # DECRPM: set, reset or set for good
 _KEYBOARD = re.compile(rb"\x1b\[\?[0-9]{1,5}u")
@@ -100,6 +101,8 @@ _DRAWS = (
 MOST_CELLS = 4096  # rows or columns; 8K with letters of 2 px
 MOST_PIXELS = 1 << 27  # 16384x8192
 GLYPHS = "TSPLAT_GLYPHS"
+SAMPLES = "TSPLAT_SAMPLES"
+SAMPLES_MAX = 8
 GLYPH_SETS = ("halves", "quadrants", "sextants", "octants")
 
 
@@ -162,8 +165,9 @@ def parse_answers(
         synchronized=b"2026" in modes,
         keyboard=_KEYBOARD.search(answers) is not None,
         in_band_resize=b"2048" in modes,
-        pixel_mouse=b"1016" in modes,
+        pixel_mouse=b"1016" in modes or _has_pixel_mouse(said),
         glyphs=glyphs,
+        samples=wanted_samples(environ),
         draws_blocks=draws_blocks,
         name=name,
         multiplexer=mux,
@@ -196,6 +200,12 @@ def _has_placeholders(name: str) -> bool:
     if version := _KITTY_VERSION.match(name):
         return (int(version.group(1)), int(version.group(2))) >= (0, 28)
     return name.lower().startswith("ghostty")
+
+
+def _has_pixel_mouse(name: str) -> bool:
+    """Whether mode 1016 is there untold: Konsole, which answers no DECRQM, had it when measured."""
+    version = _KONSOLE_VERSION.match(name)
+    return version is not None and (int(version.group(1)), int(version.group(2))) >= (26, 8)
 
 
 def _advice(mux: str, around: bytes) -> str:
@@ -313,6 +323,20 @@ def _glyphs(name: str, mux: str, environ: Mapping[str, str]) -> tuple[str, bool]
     version = tuple(int(n) for n in re.findall(r"\d{1,9}", name)[:2])
     draws = any(name.lower().startswith(start) and version >= first for start, first in _DRAWS)
     return "quadrants", draws and not mux  # a multiplexer's name says nothing of the terminal
+
+
+def wanted_samples(environ: Mapping[str, str]) -> int:
+    """Px rendered for each one shown; 0 for no wish.
+
+    Raises:
+        TerminalError: ``TSPLAT_SAMPLES`` is no number from 1 to 8.
+    """
+    wanted = environ.get(SAMPLES, "").strip()
+    if wanted and wanted not in map(str, range(1, SAMPLES_MAX + 1)):
+        raise TerminalError(
+            f"{SAMPLES}: expected 1 to {SAMPLES_MAX}, got {printable(repr(wanted))}"
+        )
+    return int(wanted or 0)
 
 
 def _has_iterm2(answers: bytes, said: str, environ: Mapping[str, str]) -> bool:

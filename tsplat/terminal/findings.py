@@ -21,6 +21,8 @@ LIARS = {
         "answers kitty's query with OK, but has neither placeholders nor animation (source)",
         "takes synchronized output (2026 on) and does not answer the question for it",
         "counts its scroll marker in: 904 px for 90 columns of 10 (26.08)",
+        "tells the mouse in px (26.08) and does not answer the question for it",
+        "tells a repeat as a release and a press, and of Shift and / two keys (26.08)",
     ),
     "wezterm": (
         "answers kitty's query with OK, then grows and freezes under moving pictures (issue 7400)",

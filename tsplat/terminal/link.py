@@ -19,6 +19,7 @@ PACED = 0.050  # s of bytes that are given to it at a time: what a key may find 
 PIECE_SECONDS = 0.01  # s of bytes that are worth writing
 SAMPLES = 8  # frames that the rate is of
 LEAST = 1000  # bytes; what takes no time on the way says nothing about the rate
+GROWTH = 1.5  # of the rate, where the link was faster than believed
 SLOWEST = 1e3  # bytes/s; no link is believed to be slower
 SHORTEST = 1e-4  # s that a frame takes; clocks are not better
 
@@ -108,11 +109,12 @@ class Link:
         occupied = max(now - max(free, self._answered), SHORTEST)
         self._answered = now
         if self.far and self._starved(frame, now):
-            occupied /= 2
+            occupied /= GROWTH
         if frame.size >= LEAST:
             self._samples.append((frame.size, occupied))
-        if self.rate:  # of what was written, no more can be under way
-            self._drained = min(self._drained, now + self.under_way / self.rate)
+        if self.rate:  # what is under way by now is on its way to be answered, or still waits
+            rest = now + self.under_way / self.rate
+            self._drained = min(max(self._drained, rest - (self.latency or 0.0)), rest)
         return Flight(frame.size, seconds, occupied)
 
     def _starved(self, frame: _Frame, now: float) -> bool:

@@ -34,7 +34,8 @@ PROFILES: dict[str, dict[str, Any]] = {
         "name": "ghostty",
     },
     "konsole": {
-        **_NONE, "kitty": True, "iterm2": True, "sixel": True, "keyboard": True, "name": "Konsole",
+        **_NONE, "kitty": True, "iterm2": True, "sixel": True, "keyboard": True,
+        "pixel_mouse": True, "name": "Konsole",
     },
     "wezterm": {
         **_NONE, "kitty": True, "iterm2": True, "sixel": True, "synchronized": True,

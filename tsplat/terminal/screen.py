@@ -436,6 +436,11 @@ class Screen:
         return bool(self._rest) or self._free_in > 0
 
     @property
+    def far(self) -> bool:
+        """Whether a network is in between, as far as is known."""
+        return self.terminal.remote or self.link.far
+
+    @property
     def waiting(self) -> bool:
         """Whether any tracked frame is to be answered yet."""
         return self._unanswered > 0

@@ -362,7 +362,9 @@ def sixel_percent(body: bytes, terminal: Terminal, faults: list[str]) -> NDArray
 
 
 def sixel(data: bytes, terminal: Terminal) -> Decoded:
-    """Sixel pictures painted over each other, each from the cursor's cell on; a percent is 2.55 levels.
+    """Sixel pictures painted over each other, each from the cursor's cell on.
+
+    A percent is 2.55 levels.
 
     Registers are private to a picture: some terminals keep the last picture's, some do not. A
     picture that is drawn over a part of another must end with a cell and a band, or with that

@@ -560,8 +560,8 @@ def presenter_checks(
     max_examples: int = 100,
     screens: st.SearchStrategy[Terminal] | None = None,
 ) -> list[Check]:
-    """The checks of ``presenter``: four, or eight with a decoder of its bytes; one more for ``fill``
-    and one for ``rest``.
+    """The checks of ``presenter``: four, or eight with a decoder of its bytes, and one each for
+    ``fill`` and ``rest``.
 
     ``decode`` alone promises the frame's 8-bit picture exactly; :class:`Decoding` states another
     bound. The built-in presenters' are :data:`DECODINGS`, and whoever uses such a protocol may take

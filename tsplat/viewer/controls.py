@@ -41,6 +41,12 @@ BACKGROUNDS = ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (1.0, 1.0, 1.0))
 AXES = ((0, -1, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0))
 
 
+def pointed(x: float, y: float, terminal: Terminal) -> tuple[float, float]:
+    """The px that an event's cells are at: the middle of a cell, if no more is told."""
+    inside = 0.0 if terminal.pixel_mouse else 0.5
+    return (x + inside) * terminal.cell_width, (y + inside) * terminal.cell_height
+
+
 def orbit_of(camera: Camera, home: Orbit) -> Orbit:
     """The orbit about what ``camera`` has in its middle, as far away as ``home``'s target is.
 
@@ -289,10 +295,9 @@ class View:
     def _offset(self, x: float, y: float, terminal: Terminal) -> tuple[float, float]:
         """From the target to what is under a cell at its depth: world units right and up."""
         width, height = terminal.pixels
-        right = (x + 0.5) * terminal.cell_width - width / 2
-        down = (y + 0.5) * terminal.cell_height - height / 2
+        right, down = pointed(x, y, terminal)
         unit = self._unit(terminal)
-        return right * unit, -down * unit
+        return (right - width / 2) * unit, -(down - height / 2) * unit
 
     # --- moves; on a view that is free
 

@@ -30,6 +30,7 @@ class Engine:
         self._scene = scene
         self._edited: tuple[Edits, Scene] = look.edits, edited(scene, look.edits)
         self._last = Prepared(self._edited[1], plan, look)
+        self._refused: tuple[object, str] = None, ""  # of a look that could not be had, and why
         self.workspace = Workspace(plan.threads)
 
     @property
@@ -57,13 +58,16 @@ class Engine:
         last = self._last
         if _key(look) == _key(last.look):
             return last
+        if _key(look) == self._refused[0]:
+            return replace(last, trouble=self._refused[1])
         try:
             if look.edits != self._edited[0]:
                 self._edited = look.edits, edited(self._scene, look.edits)
             scene = self._edited[1]
             plan = make_plan(scene, backend=look.backend, threads=look.threads, params=look.params)
-        except TsplatError as error:
-            return replace(last, trouble=printable(error))
+        except (TsplatError, MemoryError) as error:
+            self._refused = _key(look), printable(error) or "out of memory"
+            return replace(last, trouble=self._refused[1])
         if plan.threads != self.workspace.threads:
             self.workspace = Workspace(plan.threads)
         self._last = Prepared(scene, plan, look)

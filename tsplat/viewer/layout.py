@@ -12,7 +12,7 @@ from tsplat.presenters.base import Terminal
 
 PANEL = 42  # columns; enough for the longest row
 PICTURE = 30  # columns that must be left for a picture beside the panel
-ROWS = 12  # of a panel under the picture
+ROWS = 5, 12  # of a panel under the picture, at least and at most
 PICTURE_ROWS = 8  # that must be left above it
 
 
@@ -39,16 +39,20 @@ class Layout:
 
 
 def layout(terminal: Terminal, panel: bool) -> Layout:
-    """Beside the picture, or under it, or instead of it; the last row is the status line's."""
-    if not panel:
+    """Beside the picture, or under it, or instead of it; the last row is the status line's.
+
+    A screen of one row has no place for a panel.
+    """
+    if not panel or terminal.rows < 2:
         return Layout(terminal, None)
-    rows = max(1, terminal.rows - 1)
+    rows = terminal.rows - 1
     if terminal.columns >= PANEL + PICTURE:
         left = terminal.columns - PANEL
         area = Area(left + 1, 0, PANEL - 1, rows)
         return Layout(replace(terminal, columns=left), area)
-    if rows >= ROWS + PICTURE_ROWS:
-        top = rows - ROWS
-        area = Area(0, top, terminal.columns, ROWS)
+    least, most = ROWS
+    if rows >= least + PICTURE_ROWS:
+        top = max(PICTURE_ROWS, rows - most)
+        area = Area(0, top, terminal.columns, rows - top)
         return Layout(replace(terminal, rows=top + 1), area)  # its last row is left alone, too
     return Layout(None, Area(0, 0, terminal.columns, rows))

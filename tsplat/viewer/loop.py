@@ -14,14 +14,14 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from tsplat.core.camera import Camera
-from tsplat.core.errors import CameraError, PluginError, printable
+from tsplat.core.errors import CameraError, PluginError, TsplatError, printable
 from tsplat.core.types import Frame
 from tsplat.plan import Rendered
 from tsplat.plugins import ask
-from tsplat.presenters.base import Presenter, Terminal, changed, pixels
-from tsplat.presenters.enlarge import enlarged
+from tsplat.presenters.base import Presenter, Terminal, changed, pixels, sampling
+from tsplat.presenters.enlarge import averaged, enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
-from tsplat.viewer.controls import DOUBLE_SECONDS, View, moves
+from tsplat.viewer.controls import DOUBLE_SECONDS, View, moves, pointed
 from tsplat.viewer.engine import Engine, Prepared
 from tsplat.viewer.figures import Shown, figures, status
 from tsplat.viewer.held import Held
@@ -32,6 +32,7 @@ from tsplat.viewer.panel import Panel, placed
 from tsplat.viewer.pick import point_under
 from tsplat.viewer.pipeline import Pipeline
 from tsplat.viewer.settings import Facts
+from tsplat.viewer.shades import shaded
 from tsplat.viewer.text import help_page, help_top, status_line
 from tsplat.views import frame_orbit
 
@@ -52,6 +53,7 @@ class Picture:
     view: View
     level: int  # of Pace; 0 has all pixels
     size: tuple[int, int]  # px
+    shades: int | None  # of each channel; None: all
     terminal: Terminal
     presenter: Presenter
     begun: float  # s, monotonic
@@ -59,13 +61,13 @@ class Picture:
     rests: bool = False  # nothing moves: as good as the presenter can
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Drawn:
     """One that was rendered. Its frames are its own: the workspace goes on to the next."""
 
     picture: Picture
     camera: Camera
-    frame: Frame  # as it is encoded: on its background, as large as encode wants it
+    frame: Frame  # as it is encoded: on its background, as large as encode wants it, in its shades
     rendered: Rendered  # its frame only where it is verified
     prepared: Prepared
     seconds: float
@@ -129,8 +131,8 @@ class Viewer:
         self._held = Held()
         self._heard: float | None = None  # when input came that no picture shows yet
         self._latency: float | None = None  # s, from the last input to its picture
-        self._clicked: tuple[tuple[float, float], float] = (-1.0, -1.0), 0.0  # last: cell, s
         self._recording: Recording | None = None
+        self._click: tuple[float, float, float] | None = None  # s, monotonic, and cell: the last
         self._place = -1  # in the file of cameras
         self._clock = self._moved = time.monotonic()
         self._moved -= STILL_SECONDS
@@ -148,7 +150,7 @@ class Viewer:
         self._terminal = self._layout.picture or screen.terminal
         fps = min(look.fps, self._presenter.fps(screen.terminal))
         size = self._presenter.size(self._terminal)
-        self._pace = Pace(size, fps, far=screen.terminal.remote)
+        self._pace = Pace(size, fps, far=screen.far)
         self._asked = None
         self._sent = deque(None for _ in self._sent)
         self._heads.lines = []
@@ -202,22 +204,25 @@ class Viewer:
         else:
             self._held = self._held.after(event, now)
             self._view = before.after(event, self._terminal)
-        if event.kind == "mouse" and event.action == "press" and self._again(event, now):
-            self._view = self._view.wishing("under")
         if self._holding or self._view.moves_from(before):
             self._heard = self._heard or now
+        if self._clicked_twice(event, now) and taken is None:
+            self._view = self._view.wishing("under")
         if self._view.wish:
             wish, self._view = self._view.wish, replace(self._view, wish="")
             self._grant(wish)
         self._changed(before)
 
-    def _again(self, event: Event, now: float) -> bool:
-        """Whether a click is the second one at its place; the third is a first one again."""
-        at, then = self._clicked
-        near = abs(event.x - at[0]) <= 1 and abs(event.y - at[1]) <= 1
-        double = event.button == "left" and near and now - then <= DOUBLE_SECONDS
-        self._clicked = (event.x, event.y), 0.0 if double else now
-        return double
+    def _clicked_twice(self, event: Event, now: float) -> bool:
+        """Whether this is a click of the left button soon after another on the same place."""
+        if event.kind != "mouse" or event.action != "press":
+            return False
+        last, self._click = self._click, (now, event.x, event.y)
+        if event.button != "left" or last is None or now > last[0] + DOUBLE_SECONDS:
+            return False
+        near = abs(event.x - last[1]) <= 1 and abs(event.y - last[2]) <= 1
+        self._click = None if near else self._click  # a third click is the first of two others
+        return near
 
     def _turned_help(self, event: Event) -> bool:
         """Whether ``event`` turned a page that is longer than the screen."""
@@ -265,6 +270,7 @@ class Viewer:
         self._screen.clear()
         self._helping, self._lead = False, b""
         self._choose()
+        self._figure()
         self._tell()
 
     def _acknowledged(self) -> None:
@@ -341,10 +347,13 @@ class Viewer:
         width, height = terminal.pixels
         x, y = width / 2, height / 2
         if view.cursor is not None:
-            x = (view.cursor[0] + 0.5) * terminal.cell_width
-            y = (view.cursor[1] + 0.5) * terminal.cell_height
+            x, y = pointed(*view.cursor, terminal)
         camera = view.camera((width, height), (1.0, 1.0))
-        point = point_under(self._engine.prepared_last, camera, x, y)
+        try:
+            point = point_under(self._engine.prepared_last, camera, x, y)
+        except (TsplatError, MemoryError) as error:  # a backend need not offer depths
+            self._notify(f"no depth there: {printable(error)}")
+            return
         if point is None:
             self._notify("nothing there")
         else:
@@ -453,8 +462,8 @@ class Viewer:
         self._heard = None if fresh else self._heard
         rests = level == 0 and self._presenter.rest is not None and not self._moving
         self._asked = Picture(
-            self._view, level, self._pace.size(level), self._terminal, self._presenter, now, heard,
-            rests,
+            self._view, level, self._pace.size(level), self._pace.shades(level), self._terminal,
+            self._presenter, now, heard, rests,
         )  # fmt: skip
         self._pipeline.ask(self._asked)
 
@@ -465,10 +474,11 @@ class Viewer:
         look = picture.view.look
         full = picture.presenter.size(picture.terminal)
         pixel = picture.presenter.pixel(picture.terminal)
-        camera = picture.view.camera(full, pixel).resized(*picture.size)
+        samples = 1 if picture.level else sampling(picture.presenter, picture.terminal)
+        camera = picture.view.camera(full, pixel).resized(*(n * samples for n in picture.size))
         prepared = self._engine.prepared(look)
         rendered = prepared.plan.run(prepared.scene, camera, self._engine.workspace)
-        frame = rendered.frame.over(look.background)
+        frame = averaged(rendered.frame.over(look.background), samples)
         if picture.presenter.fill is None and picture.size != full:
             frame = enlarged(frame, *full)
         elif frame.rgb is rendered.frame.rgb:
@@ -487,6 +497,8 @@ class Viewer:
         presenter, terminal = picture.presenter, picture.terminal
         few = presenter.fill is not None and picture.size != presenter.size(terminal)
         encode = presenter.fill if few and presenter.fill is not None else presenter.encode
+        if picture.shades is not None:
+            drawn.frame = shaded(drawn.frame, picture.shades, before.frame if before else None)
         try:
             if picture.rests and presenter.rest is not None:
                 same = (

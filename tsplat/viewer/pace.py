@@ -1,17 +1,19 @@
 """How many pixels a moving picture has, and how often a new one is begun.
 
-A level is a share of the pixels each way. What a frame takes is remembered by level: of render,
+A level is a share of the pixels each way, and for links that are slow so many shades of each colour
+channel. What a frame takes is remembered by level: of render,
 encode and flight (how long it keeps the link busy) the slowest, or half of all three if that is
 more. If it is no more than a frame's time, the stages keep up with each other, and a key's picture
 is there within three frames' time, one until the next frame is begun, two for the stages; and the
 way there and back, which no level makes shorter.
 
-Where bytes are dear, levels beyond the coarsest that one likes to look at come in, but no more of
-them than a frame rate needs that still looks like motion.
+Over a network there are more levels, beyond the coarsest that one likes to look at. They come in
+only where frames would take longer than ``SLOW``: what is slower does not look like motion.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import deque
 from collections.abc import Callable
@@ -20,9 +22,10 @@ from statistics import median_low
 
 LEVELS = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125)
 SHORTEST = 32  # px: none of them makes a side shorter that is not so already
-COARSER = (0.09375, 0.0625)  # with those LEVELS that SHORTEST leaves out: for dear bytes
-COARSER_SHORTEST = 8  # px
-SLOW = 0.1  # s; a frame that takes longer is no motion any more, and worth those
+DEAR = (0.5, 0.25, 0.125, 0.0625)  # where bytes are dear, with each of SHADES
+DEAR_SHORTEST = 8  # px
+SHADES = {16: 0.4, 8: 0.28}  # how many of a channel: what is left of the bytes, kitty's and cells'
+SLOW = 0.1  # s a frame
 PREVIEW = 80_000  # px of the first picture, when nothing is known of link and scene
 SAMPLES = 3  # of a level: their median counts, so that one hiccup does not
 STALE_SECONDS = 5.0  # for what was measured before: another view, another load
@@ -36,7 +39,9 @@ LINK_SAMPLES = 8
 
 @dataclass
 class _Level:
-    pixels: int
+    share: float
+    shades: int | None  # None: all
+    pixels: float  # as many as take the same time
     loads: deque[float] = field(default_factory=lambda: deque(maxlen=SAMPLES))  # s
     noted: float = 0.0  # s, of the clock
 
@@ -64,19 +69,26 @@ class Pace:
         far: bool = False,
     ) -> None:
         self.period, self._clock, self._size = 1 / fps, clock, size
+        pixels = size[0] * size[1]
         fine = [s for s in LEVELS if s == 1 or min(size) * s >= SHORTEST]
-        rest = [s for s in LEVELS[len(fine) :] + COARSER if min(size) * s >= COARSER_SHORTEST]
-        self._shares = (*fine, *rest)
+        self._levels = [_Level(s, None, pixels * s * s) for s in fine]
+        dear = [s for s in DEAR if min(size) * s >= DEAR_SHORTEST] if far else []
+        for share, (shades, left) in itertools.product(dear, SHADES.items()):
+            if pixels * share * share * left < self._levels[-1].pixels:
+                self._levels.append(_Level(share, shades, pixels * share * share * left))
         self._fine = len(fine)
-        self._levels = [_Level(w * h) for w, h in map(self.size, range(len(self._shares)))]
         self._link: deque[tuple[int, float, float]] = deque(maxlen=LINK_SAMPLES)
-        small = [n for n, level in enumerate(self._levels) if level.pixels <= PREVIEW]
-        self.level = min(small[0], self._fine - 1) if small and not far else self._fine - 1
+        small = [n for n in range(len(fine)) if self._levels[n].pixels <= PREVIEW]
+        self.level = small[0] if small and not far else self._fine - 1
 
     def size(self, level: int) -> tuple[int, int]:
         """(width, height) in px of a picture at ``level``."""
-        width, height = (max(1, round(n * self._shares[level])) for n in self._size)
+        width, height = (max(1, round(n * self._levels[level].share)) for n in self._size)
         return width, height
+
+    def shades(self, level: int) -> int | None:
+        """How many of each channel a picture at ``level`` needs; None: all."""
+        return self._levels[level].shades
 
     def note(
         self,

@@ -3,23 +3,49 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from tsplat.terminal import Event
 from tsplat.viewer.controls import View
 from tsplat.viewer.layout import Area
 from tsplat.viewer.settings import Facts, Row, sections
-from tsplat.viewer.text import BOLD, PLAIN, REVERSE, cup, fitted
+from tsplat.viewer.text import BOLD, PLAIN, REVERSE, cup, padded, width, wrapped
 
-NAME = 19  # columns of a row's name
+NAME = 19  # columns of a row's name, where there is room for
+VALUE = 15  # columns of its value at least; else long ones have lines of their own
+MARKS = 4  # columns of "< >" about the chosen value
+NOTCH = 3  # lines that the wheel scrolls
+MORE_ROWS = 4  # at least, for one of them to say that there are more
+MORE = "  more below"
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """A row that can be chosen: one that can be set, or any of a section that only says."""
+
+    key: str  # no other has it
+    row: Row = field(compare=False)
+
+
+_Sections = list[tuple[str, list[tuple[Row, _Stop | None]]]]
+
+
+@dataclass(frozen=True)
+class _Line:
+    text: str
+    stop: _Stop | None = None  # that it belongs to
+    value: int | None = None  # column where the value begins; None: there is none on this line
+    title: bool = False
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Rows are counted without titles."""
+    """The chosen row is known by its key, as rows come and go; where it was helps if it is gone."""
 
-    chosen: int = 0
-    top: int = 0  # lines, titles among them, that are above what is shown
+    key: str = ""
+    place: int = 0  # among rows that can be chosen
+    top: int = 0  # lines above what is shown, as of the last event
+    loose: bool = False  # scrolled by the wheel: what is chosen may be out of sight
 
     def after(
         self, event: Event, view: View, facts: Facts, area: Area
@@ -28,12 +54,15 @@ class Panel:
         if event.kind == "key" and event.key in ("up", "down", "pageup", "pagedown"):
             page = max(1, area.rows - 2)
             by = {"up": -1, "down": 1, "pageup": -page, "pagedown": page}[event.key]
-            return self._moved(by, view, facts, area), view
+            stops = _stops(view, facts)
+            place = min(max(self._chosen(stops)[0] + by, 0), len(stops) - 1)
+            return self._at(stops, place).seen(view, facts, area), view
         if event.kind == "key" and event.key in ("left", "right", "enter"):
-            return self, self._stepped(view, facts, -1 if event.key == "left" else 1)
+            return self._changed(view, facts, area, -1 if event.key == "left" else 1)
         if event.kind == "key" and event.key in ("backspace", "delete"):
-            row = _settable(view, facts)[self.chosen]
-            return self, row.first(view) if row.first else view
+            row = self._chosen(_stops(view, facts))[1].row
+            after = row.first(view) if row.first else view
+            return self.seen(after, facts, area), after
         if event.kind == "mouse" and area.has(event.x, event.y):
             return self._after_mouse(event, view, facts, area)
         return None
@@ -42,54 +71,81 @@ class Panel:
         self, event: Event, view: View, facts: Facts, area: Area
     ) -> tuple[Panel, View]:
         if event.action == "wheel" and event.button in ("up", "down"):
-            return self._scrolled(-3 if event.button == "up" else 3, view, facts, area), view
+            by = -NOTCH if event.button == "up" else NOTCH
+            return self._scrolled(by, view, facts, area), view
         if event.action != "press":
             return self, view
-        lines = _lines(view, facts)
-        place = self.top + int(event.y) - area.top
-        row = lines[place] if place < len(lines) else None
-        rows = _settable(view, facts)
-        if not isinstance(row, Row) or row not in rows:
+        lines, top, _ = self._shown(view, facts, area)
+        row = int(event.y - area.top)
+        if _more(lines, top, area) and row == area.rows - 1:
+            return self._scrolled(max(1, area.rows - 2), view, facts, area), view
+        line = lines[top + row] if top + row < len(lines) else None
+        if line is None or line.stop is None:
             return self, view
-        there = replace(self, chosen=rows.index(row))
+        stops = _stops(view, facts)
+        there = replace(self._at(stops, stops.index(line.stop)), top=top)
         across = event.x - area.left
-        if across < NAME:
-            return there, view
-        middle = NAME + (area.columns - NAME) / 2
-        backwards = event.button == "right" or across < middle
-        return there, there._stepped(view, facts, -1 if backwards else 1)
+        if line.value is None or across < line.value:
+            return there.seen(view, facts, area), view
+        backwards = event.button == "right" or across < (line.value + area.columns) / 2
+        return there._changed(view, facts, area, -1 if backwards else 1)
 
-    def _moved(self, by: int, view: View, facts: Facts, area: Area) -> Panel:
-        """To another row that can be set; it is shown. Past the last one the lines below."""
-        rows = _settable(view, facts)
-        if by > 0 and self.chosen == len(rows) - 1:
-            return self._scrolled(by, view, facts, area)  # to the figures
-        chosen = min(max(self.chosen + by, 0), len(rows) - 1)
-        place = _lines(view, facts).index(rows[chosen])
-        top = min(self.top, place - 1)  # the title above it is seen as well
-        return Panel(chosen, max(0, top, place + 2 - area.rows))
-
-    def _scrolled(self, by: int, view: View, facts: Facts, area: Area) -> Panel:
-        most = max(0, len(_lines(view, facts)) - area.rows)
-        return replace(self, top=min(max(self.top + by, 0), most))
-
-    def _stepped(self, view: View, facts: Facts, by: int) -> View:
-        rows = _settable(view, facts)
-        row = rows[min(self.chosen, len(rows) - 1)]
-        return view if row.step is None else row.step(view, by, facts)
+    def seen(self, view: View, facts: Facts, area: Area) -> Panel:
+        """Scrolled to where the chosen row is shown."""
+        fixed = replace(self, loose=False)
+        return replace(fixed, top=fixed._shown(view, facts, area)[1])
 
     def lines(self, view: View, facts: Facts, area: Area) -> list[bytes]:
         """``area.rows`` lines, each as wide as the area, without their places."""
-        rows, shown = _lines(view, facts), []
-        chosen = _settable(view, facts)[min(self.chosen, len(_settable(view, facts)) - 1)]
-        for row in rows[self.top : self.top + area.rows]:
-            shown.append(_title(row, area.columns) if isinstance(row, str) else
-                         _line(row, view, facts, area.columns, row is chosen))  # fmt: skip
-        blank = b" " * area.columns
-        shown += [blank] * (area.rows - len(shown))
-        if self.top + area.rows < len(rows) and area.rows > 1:
-            shown[-1] = _padded("  more below", area.columns)
-        return shown
+        lines, top, chosen = self._shown(view, facts, area)
+        out = [_bytes(line, area.columns, chosen) for line in lines[top : top + area.rows]]
+        out += [padded("", area.columns).encode()] * (area.rows - len(out))
+        if _more(lines, top, area):
+            out[-1] = padded(MORE, area.columns).encode()
+        return out
+
+    def chosen(self, view: View, facts: Facts) -> Row:
+        """The row that keys set."""
+        return self._chosen(_stops(view, facts))[1].row
+
+    def _chosen(self, stops: Sequence[_Stop]) -> tuple[int, _Stop]:
+        for place, stop in enumerate(stops):
+            if stop.key == self.key:
+                return place, stop
+        place = min(self.place, len(stops) - 1)
+        return place, stops[place]
+
+    def _at(self, stops: Sequence[_Stop], place: int) -> Panel:
+        return Panel(stops[place].key, place, self.top)
+
+    def _changed(self, view: View, facts: Facts, area: Area, by: int) -> tuple[Panel, View]:
+        stops = _stops(view, facts)
+        place, stop = self._chosen(stops)
+        after = view if stop.row.step is None else stop.row.step(view, by, facts)
+        return self._at(stops, place).seen(after, facts, area), after
+
+    def _scrolled(self, by: int, view: View, facts: Facts, area: Area) -> Panel:
+        lines, top, _ = self._shown(view, facts, area)
+        most = max(0, len(lines) - area.rows)
+        return replace(self, top=min(max(top + by, 0), most), loose=True)
+
+    def _shown(self, view: View, facts: Facts, area: Area) -> tuple[list[_Line], int, _Stop]:
+        """All lines, how many of them are above the first that is seen, and what is chosen."""
+        every = _sections(view, facts)
+        chosen = self._chosen([stop for _, rows in every for _, stop in rows if stop])[1]
+        lines = _lines(every, view, facts, area.columns, chosen)
+        most = max(0, len(lines) - area.rows)
+        top = min(self.top, most)
+        if self.loose:
+            return lines, top, chosen
+        mine = [i for i, line in enumerate(lines) if line.stop == chosen]
+        first, last, room = mine[0], mine[-1], area.rows
+        if room >= MORE_ROWS:
+            room -= 1  # the last one may be taken
+            first -= lines[first - 1].title
+        if last >= top + room:
+            top = min(last + 1 - room, most)
+        return lines, min(top, first), chosen
 
 
 def placed(lines: Sequence[bytes], before: Sequence[bytes], area: Area) -> bytes:
@@ -101,31 +157,67 @@ def placed(lines: Sequence[bytes], before: Sequence[bytes], area: Area) -> bytes
     return PLAIN + out if out else b""
 
 
-def _lines(view: View, facts: Facts) -> list[str | Row]:
-    out: list[str | Row] = []
+def _stops(view: View, facts: Facts) -> list[_Stop]:
+    return [stop for _, rows in _sections(view, facts) for _, stop in rows if stop]
+
+
+def _sections(view: View, facts: Facts) -> _Sections:
+    """Titles, and their rows with what makes them ones that can be chosen."""
+    out = []
     for title, rows in sections(view, facts):
+        only_said = all(row.step is None for row in rows)
+        seen: dict[str, int] = {}
+        pairs: list[tuple[Row, _Stop | None]] = []
+        for row in rows:
+            seen[row.name] = number = seen.get(row.name, 0) + 1
+            key = f"{title}/{row.name}/{number}"
+            pairs.append((row, _Stop(key, row) if only_said or row.step is not None else None))
         if rows:
-            out += [title, *rows]
+            out.append((title, pairs))
     return out
 
 
-def _settable(view: View, facts: Facts) -> list[Row]:
-    return [row for _, rows in sections(view, facts) for row in rows if row.step is not None]
+def _lines(every: _Sections, view: View, facts: Facts, columns: int, chosen: _Stop) -> list[_Line]:
+    out: list[_Line] = []
+    for title, rows in every:
+        out.append(_Line(title, title=True))
+        for row, stop in rows:
+            out += _row_lines(row, stop, row.text(view, facts), columns, stop == chosen)
+    return out
 
 
-def _padded(text: str, columns: int) -> bytes:
-    shown = fitted(text, columns)
-    return (shown + " " * (columns - len(shown))).encode()
+def _row_lines(row: Row, stop: _Stop | None, words: str, columns: int, chosen: bool) -> list[_Line]:
+    """Name and value beside each other; below each other where they do not fit."""
+    if row.step is not None:
+        words = f"< {words} >" if chosen else f"  {words}"
+    beside = columns - NAME - (0 if row.step else 2)
+    if beside >= VALUE:
+        parts = [words] if row.step else wrapped(words, beside)
+        names = [row.name] + [""] * (len(parts) - 1)
+        gap = NAME - 2 if row.step else NAME
+        value = NAME if row.step else None
+        return [
+            _Line("  " + padded(name, gap) + part, stop, value)
+            for name, part in zip(names, parts, strict=True)
+        ]
+    value_columns = width(words) + (0 if chosen or not row.step else 2)  # as wide when chosen
+    if 1 + width(row.name) + 1 + value_columns <= columns:
+        at = columns - value_columns
+        return [_Line(padded(f" {row.name}", at) + words, stop, at if row.step else None)]
+    lines = [_Line(f" {row.name}", stop)]
+    if row.step:
+        lines.append(_Line(" " + words, stop, 0))
+    else:
+        lines += [_Line("   " + part, stop) for part in wrapped(words, max(1, columns - 3))]
+    return lines
 
 
-def _title(text: str, columns: int) -> bytes:
-    return BOLD + _padded(text, columns) + PLAIN
+def _more(lines: Sequence[_Line], top: int, area: Area) -> bool:
+    """Whether the last row says that there are more lines."""
+    return area.rows >= MORE_ROWS and top + area.rows < len(lines)
 
 
-def _line(row: Row, view: View, facts: Facts, columns: int, chosen: bool) -> bytes:
-    value = row.text(view, facts)
-    if row.step is None:
-        return _padded(f"  {row.name:<{NAME}}{value}", columns)
-    value = f"< {value} >" if chosen else f"  {value}"
-    line = _padded(f"  {row.name:<{NAME - 2}}{value}", columns)
-    return REVERSE + line + PLAIN if chosen else line
+def _bytes(line: _Line, columns: int, chosen: _Stop) -> bytes:
+    shown = padded(line.text, columns).encode()
+    style = BOLD if line.title else REVERSE if line.stop == chosen else b""
+    return style + shown + PLAIN if style else shown

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
@@ -23,11 +22,10 @@ STOPS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 5e-2)
 SHARES = (0.05, 0.1, 0.25, 0.5, 0.75, 1.0)
 SCALES = (0.1, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 BITS = (16, 20, 24, 32)
-RATES = (None, 10e6, 5e6, 2e6, 1e6, 500e3, 250e3, 100e3)  # bits/s
+RATES = (100e3, 250e3, 500e3, 1e6, 2e6, 5e6, 10e6, None)  # bits/s
 FRAMES = (5.0, 10.0, 15.0, 20.0, 24.0, 30.0, 60.0, 120.0)
 PICTURES = (None, (640, 360), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160))
 CUTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9)
-WORDS = 20  # columns beside a name
 CROP_STEP = 0.02  # of the distance, per key press
 
 
@@ -94,7 +92,7 @@ def _switch(name: str, get: Callable[[View], bool], put: Callable[[View, bool], 
         name,
         lambda view, facts: "on" if get(view) else "off",
         lambda view, by, facts: put(view, not get(view)),
-        lambda view: put(view, False),
+        lambda view: put(view, False) if get(view) else view,
     )
 
 
@@ -102,11 +100,13 @@ def _factor(
     name: str, get: Callable[[View], float], put: Callable[[View, float], View],
     by: float, low: float, high: float,
 ) -> Row:  # fmt: skip
-    """A number whose steps are a factor; 1 is among them."""
+    """A number whose steps are a factor; 1 is among them, and so are ``low`` and ``high``."""
+
+    def place(value: float) -> int:
+        return round(math.log(max(value, 1e-9)) / math.log(by))
 
     def step(view: View, steps: int, facts: Facts) -> View:
-        place = round(math.log(max(get(view), 1e-9)) / math.log(by)) + steps
-        return put(view, min(max(by**place, low), high))
+        return put(view, by ** min(max(place(get(view)) + steps, place(low)), place(high)))
 
     return Row(name, lambda view, facts: f"{get(view):.3g}", step, lambda view: put(view, 1.0))
 
@@ -256,7 +256,7 @@ QUALITY: Sequence[Row] = (
 )  # fmt: skip
 SCENE: Sequence[Row] = (
     _factor("splat scale", lambda v: v.look.edits.splat_scale,
-            lambda v, value: v.editing(splat_scale=value), 2**0.25, 0.02, 16.0),
+            lambda v, value: v.editing(splat_scale=value), 2**0.25, 1 / 64, 16.0),
     Row("opacity cut", lambda v, f: f"{v.look.edits.opacity_min:g}",
         lambda v, by, f: v.editing(opacity_min=_stepped(CUTS, v.look.edits.opacity_min, by)),
         lambda v: v.editing(opacity_min=0.0)),
@@ -276,28 +276,22 @@ SHOWING: Sequence[Row] = (
     Row("threads", lambda v, f: str(v.look.threads or default_threads()), _threads,
         lambda v: v.looking(threads=None)),
     _of_look("frames a second", "fps", FRAMES, lambda value: f"{value:g}", FPS),
-    Row("link at most", lambda v, f: _bits(v.look.max_rate),
-        lambda v, by, f: v.looking(max_rate=_turned(RATES, v.look.max_rate, -by)),
-        lambda v: v.looking(max_rate=None)),
+    _of_look("link at most", "max_rate", RATES, _bits, None),
     Row("kept pictures", lambda v, f: _size(v.look.picture),
         lambda v, by, f: v.looking(picture=_turned(PICTURES, v.look.picture, by)),
         lambda v: v.looking(picture=None)),
 )  # fmt: skip
 
 
-def _figure(name: str, words: str) -> list[Row]:
-    """A row that only says something, and more of them if it says much."""
-    lines = textwrap.wrap(words, WORDS) or [""]
-    return [
-        Row("" if i else name, lambda view, facts, line=line: line)  # type: ignore[misc]
-        for i, line in enumerate(lines)
-    ]
+def _figure(name: str, words: str) -> Row:
+    """A row that only says something."""
+    return Row(name, lambda view, facts: words)
 
 
 def sections(view: View, facts: Facts) -> list[Section]:
     """All rows, under their titles; those of the box while there is one."""
     box = BOX if view.look.edits.crop is not None else ()
-    figures = [row for name, words in facts.figures for row in _figure(name, words)]
+    figures = [_figure(name, words) for name, words in facts.figures]
     return [
         ("Camera", CAMERA),
         ("Quality", QUALITY),
