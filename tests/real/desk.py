@@ -27,7 +27,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageGrab, features
 
-PATIENCE = 60.0  # s; for a machine that has much else to do
+PATIENCE = 10.0  # s; for a machine that has much else to do
 GAP = 0.03  # s between two looks at the same thing
 SCREEN = 1100, 700  # px of the X server; windows are smaller
 FONT = "DejaVu Sans Mono"

@@ -54,13 +54,13 @@ class Pictures:
         file.write_text(json.dumps([camera_to_json(camera)]))
         return file
 
-    def render(self, *words: object) -> np.ndarray:
-        """By the program; uint8 [H, W, 3]."""
-        key = tuple(map(str, words))
+    def render(self, size: tuple[int, int], *words: object, samples: int = 1) -> np.ndarray:
+        """By the program; uint8 [H, W, 3], each pixel the mean of ``samples`` x ``samples``."""
+        key = ("--size", "{}x{}".format(*(n * samples for n in size)), *map(str, words))
         if key not in self._made:
-            out = self._folder / f"{len(self._made)}.png"
+            out = self._folder / f"{len(self._made)}.npy"
             subprocess.run([*tsplat(), "render", "-o", out, *key], check=True, capture_output=True)
-            made = readable(out)
-            assert made is not None
-            self._made[key] = made
+            width, height = size
+            parts = np.load(out)[..., :3].clip(0, 1).reshape(height, samples, width, samples, 3)
+            self._made[key] = np.floor(parts.mean((1, 3)) * 255 + 0.5).astype(np.uint8)
         return self._made[key]
