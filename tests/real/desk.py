@@ -9,6 +9,7 @@ a fixed time to be in step: what is waited for is looked at until it is there.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import fcntl
 import os
 import shlex
@@ -27,7 +28,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageGrab, features
 
-PATIENCE = 10.0  # s; for a machine that has much else to do
+PATIENCE = 60.0  # s; for a machine that has much else to do
 GAP = 0.03  # s between two looks at the same thing
 SCREEN = 1100, 700  # px of the X server; windows are smaller
 FONT = "DejaVu Sans Mono"
@@ -198,7 +199,8 @@ class Terminal:
     environment: dict[str, str]
     process: subprocess.Popen[bytes]
     window: str = ""
-    prompts: int = field(default=0)
+    prompts: int = 0
+    screens: dict[tuple[str, str], list[np.ndarray]] = field(default_factory=dict)
 
     # --- the window
 
@@ -351,6 +353,11 @@ class Terminal:
         end(self.process)
 
 
+def with_us() -> None:
+    """For a child before exec: when the process that started it is killed, it is, too."""
+    ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
+
+
 def end(process: subprocess.Popen[bytes]) -> None:
     """Ends it and all that it has started."""
     for signum in (signal.SIGTERM, signal.SIGKILL):
@@ -401,7 +408,7 @@ def opened(make: Make, folder: Path, columns: int = 80, rows: int = 24) -> Itera
         def start(command: list[str], **kwargs: object) -> subprocess.Popen[bytes]:
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
-                cwd=home, **kwargs,
+                cwd=home, preexec_fn=with_us, **kwargs,
             )  # fmt: skip
             stack.callback(end, process)
             return process

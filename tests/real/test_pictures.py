@@ -2,8 +2,9 @@
 
 Compared are photographs of the window, all rows but the last, with PNGs. Presenters of pictures
 are held to every pixel, half blocks to the middle of each half, where the mean of what it covers
-should be. How near, in dB (PSNR), is each case's bound: kitty's protocol is exact, half blocks in 24
-bits as good as that, a palette and JPEG are not. ``pytest tests/real -rP`` says how near each comes.
+should be. How near, in dB (PSNR), is each case's bound: once the picture rests, kitty's protocol and
+iTerm2's are exact, half blocks in 24 bits as good as that, a palette is not. ``pytest tests/real
+-rP`` says how near each comes.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ class Case:
     bound: float  # dB
     asked: bool = True
     halves: bool = False  # a pixel is half a cell
+    most: float = math.inf  # dB; nearer is another presenter's picture
 
     def __str__(self) -> str:
         return f"{self.make.name}-{self.presenter}"
@@ -60,8 +62,8 @@ class Case:
 CASES = (
     Case(KITTY, "kitty", EXACT, asked=False),
     Case(XTERM, "sixel", 33.0, asked=False),
-    Case(MLTERM, "iterm2", 33.0),
-    Case(KONSOLE, "iterm2", 33.0, asked=False),
+    Case(MLTERM, "iterm2", EXACT),
+    Case(KONSOLE, "iterm2", EXACT, asked=False),
     Case(XTERM, "halfblock", MEAN, halves=True),
     Case(in_tmux(XTERM), "halfblock", MEAN, asked=False, halves=True),
     Case(in_tmux(KITTY), "kitty", EXACT, asked=False),
@@ -127,9 +129,10 @@ class Viewing:
             wanted = self.wanted(aside)
             if last is None or last.shape != wanted.shape:
                 return False
-            best = max(best, psnr(last, wanted))
+            now = psnr(last, wanted)
+            best = max(best, now)
             still = before is not None and np.array_equal(before, last)
-            return still and psnr(last, wanted) >= self.case.bound
+            return still and self.case.bound <= now <= self.case.most
 
         try:
             await_(what, there)
@@ -171,7 +174,7 @@ def test_moves_are_followed(case: Case, viewing: Callable[[Case], Viewing]) -> N
         aside = view.show("the file's camera", aside=True)
         assert psnr(aside, first) < OTHER
         view.terminal.press("z")
-        np.testing.assert_array_equal(view.show("the first view again"), first)
+        view.show("the first view again")
 
 
 @pytest.mark.parametrize("case", CASES[:2], ids=str)
@@ -208,7 +211,7 @@ def test_resizes_are_followed(case: Case, viewing: Callable[[Case], Viewing]) ->
     """A larger window, one after a storm of sizes, and the first again: of each its picture."""
     dice = random.Random(1)
     with viewing(case) as view:
-        first = view.show("the first view")
+        view.show("the first view")
         columns, rows = view.terminal.cells()
         view.resize(columns + 20, rows + 6)
         view.show("the larger window's picture")
@@ -217,12 +220,12 @@ def test_resizes_are_followed(case: Case, viewing: Callable[[Case], Viewing]) ->
         view.resize(columns - 20, rows - 6)
         view.show("the smaller window's picture")
         view.resize(columns, rows)
-        np.testing.assert_array_equal(view.show("the first view again"), first)
+        view.show("the first view again")
 
 
 CYCLE = (
     Case(KITTY, "kitty", EXACT),
-    Case(KITTY, "blocks", 20.0),  # quadrants and eighths, against every pixel
+    Case(KITTY, "blocks", 20.0, most=40.0),  # quadrants and eighths, against every pixel
     Case(KITTY, "halfblock", MEAN, halves=True),
 )
 """What a kitty that draws blocks itself goes through first, in the presenters' order."""
@@ -231,7 +234,7 @@ CYCLE = (
 def test_another_presenter_shows_the_same_view(viewing: Callable[[Case], Viewing]) -> None:
     """M goes to the next, Shift+M back: each clears the last one's picture and shows its own."""
     with viewing(CYCLE[0]) as view:
-        first = view.show("the first view")
+        view.show("the first view")
         for case in CYCLE[1:]:
             view.terminal.press("m")
             view.case = case
@@ -239,5 +242,4 @@ def test_another_presenter_shows_the_same_view(viewing: Callable[[Case], Viewing
         for case in CYCLE[-2::-1]:
             view.terminal.press("M")
             view.case = case
-            last = view.show(f"the first view by {case.presenter} again")
-        np.testing.assert_array_equal(last, first)
+            view.show(f"the first view by {case.presenter} again")
