@@ -44,7 +44,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from network import ADDRESSES, QUEUE, NoNetwork, network
+from network import ADDRESSES, QUEUE, NoNetworkError, network
 
 ROOT = Path(__file__).resolve().parents[1]
 COLUMNS, ROWS = 100, 34
@@ -412,7 +412,7 @@ def main(words: Sequence[str] | None = None) -> int:
                     "  ".join(f"{h}: {c}" for h, c in zip(HEADINGS, cells(rows[-1]), strict=True)),
                     flush=True,
                 )
-    except NoNetwork as error:
+    except NoNetworkError as error:
         print(f"no link: {error}", file=sys.stderr)
         return 1
     if arguments.markdown:

@@ -45,8 +45,9 @@ examples:
   tsplat view scene.ply --verify
   tsplat view scene.ply --play path.json
 
-keys: W A S D pan, arrows or J K / H L turn, + - zoom, mouse drag turns, wheel zooms,
-      O auto-orbit, U upside up, R reset, Tab status line, ? help, Q quit
+keys: W A S D R F move, arrows or drag turn, + - or wheel zoom, C or 2 clicks go there,
+      Space flies, O turns by itself, U upside up, Z first view, Tab settings, P keeps a picture,
+      V records a path, ? all keys, Q quit
 """
 CAT_EXAMPLES = """\
 examples:

@@ -181,7 +181,7 @@ def test_a_value_of_the_command_line_is_among_the_others():
 
 
 def test_reach_is_where_alpha_falls_to_the_threshold():
-    """exp(-s^2 / 2) of what is told is the threshold; at 0 there would be no end: a floor counts."""
+    """exp(-s^2 / 2) of what is told is the threshold; for 0 there is a floor."""
     row = next(r for _, rows in sections(VIEW, FACTS) for r in rows if "reach" in r.name)
     assert row.step is None
     for threshold in (1 / 255, 16 / 255):

@@ -49,7 +49,7 @@ class Link:
     """Frames on their way, and when there is room for another."""
 
     def __init__(self) -> None:
-        self.latency: float | None = None  # s, the shortest way there and back seen
+        self.latency: float | None = None  # s, the shortest way there and back; None: unknown
         self.remote = False  # known to be far, whatever the latency
         self._flying: deque[_Frame] = deque()
         self._answered = -math.inf  # the last answer
@@ -104,12 +104,14 @@ class Link:
             return None
         frame = self._flying.popleft()
         seconds = now - frame.begun
-        self.pinged(seconds)
+        if self.latency is not None:  # frames alone do not tell it from their own length
+            self.pinged(seconds)
         free = frame.begun + (self.latency or 0.0) if self.far else frame.begun
         occupied = max(now - max(free, self._answered), SHORTEST)
         self._answered = now
         if self.far and self._starved(frame, now):
             occupied /= GROWTH
+            self._samples.clear()  # they say what it was
         if frame.size >= LEAST:
             self._samples.append((frame.size, occupied))
         if self.rate:  # what is under way by now is on its way to be answered, or still waits
@@ -122,7 +124,7 @@ class Link:
 
         At the right rate it has ``PACED`` s to do when the end of a frame is written.
         """
-        held_back = frame.ended - frame.begun > PACED
+        held_back = PACED < frame.ended - frame.begun < math.inf
         return held_back and now - frame.ended - (self.latency or 0.0) < PACED / 2
 
     def lost(self) -> None:
@@ -137,8 +139,10 @@ class Link:
         """Bytes written and not answered."""
         return sum(frame.written for frame in self._flying)
 
-    def wait(self, now: float) -> float:
+    def wait(self, now: float, more: int = 0) -> float:
         """Seconds until another frame may go; infinite: not before an answer.
+
+        ``more`` bytes are still to be written before it.
 
         It may when the bottleneck is about to have nothing to do. If answers fail to come, no more
         than fits into the way, and a frame, is under way.
@@ -148,10 +152,12 @@ class Link:
         rate = self.rate
         if not self.far or not rate or self.latency is None:
             return math.inf
+        if len(self._flying) > len(self._samples):  # the more is known, the more may go
+            return math.inf
         frame = self.under_way / len(self._flying)
         if self.under_way > rate * (self.latency + AHEAD) + frame:
             return math.inf
-        return max(0.0, self._drained - AHEAD - now)
+        return max(0.0, max(self._drained, now) + more / rate - AHEAD - now)
 
     def room(self, now: float) -> float:
         """Bytes that may be written now, so that what follows can still be taken back."""

@@ -34,8 +34,8 @@ class Shown:
     latency: float | None  # s from input to the terminal's answer
 
 
-def status(shown: Shown) -> list[str]:
-    """Parts of the status line, the most important first."""
+def status(shown: Shown, panel: bool = False) -> list[str]:
+    """Parts of the status line, the most important first; of keys those that an open panel has."""
     rendered, plan = shown.rendered, shown.plan
     names = "+".join(dict.fromkeys(plan.backends.values()))
     parts = [shown.scene.name]
@@ -49,7 +49,7 @@ def status(shown: Shown) -> list[str]:
         f"{shown.frames:.0f} fps" if shown.frames else "",
         f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{plan.threads}",
         f"{shown.presenter} {_size(shown)}",
-        "? keys  Tab settings",
+        "arrows set  Backspace resets  Tab closes" if panel else "? keys  Tab settings",
         f"{shown.encode * 1e3:.1f} ms {shown.sent / 1e3:.0f} kB",
         _link(shown.link) if shown.link else "",
     ]
