@@ -408,7 +408,8 @@ def opened(make: Make, folder: Path, columns: int = 80, rows: int = 24) -> Itera
         def start(command: list[str], **kwargs: object) -> subprocess.Popen[bytes]:
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
-                cwd=home, preexec_fn=with_us, **kwargs,
+                cwd=home, preexec_fn=with_us,  # noqa: PLW1509 - no threads here
+                **kwargs,
             )  # fmt: skip
             stack.callback(end, process)
             return process

@@ -1,10 +1,10 @@
 """What a real terminal's screen shows is the picture that ``tsplat render`` makes.
 
-Compared are photographs of the window, all rows but the last, with PNGs. Presenters of pictures
-are held to every pixel, half blocks to the middle of each half, where the mean of what it covers
-should be. How near, in dB (PSNR), is each case's bound: once the picture rests, kitty's protocol and
-iTerm2's are exact, half blocks in 24 bits as good as that, a palette is not. ``pytest tests/real
--rP`` says how near each comes.
+Compared are photographs of the window, all rows but the last, with pictures in files. Presenters of
+pictures are held to every pixel, half blocks to the middle of each half, where the mean of what it
+covers should be. How near, in dB (PSNR), is each case's bound: once the picture rests, kitty's
+protocol and iTerm2's are exact, half blocks in 24 bits as good as that, a palette is not.
+``pytest tests/real -rP`` says how near each comes.
 """
 
 from __future__ import annotations
