@@ -29,6 +29,7 @@ import pytest
 from PIL import Image, ImageGrab, features
 
 PATIENCE = 60.0  # s; for a machine that has much else to do
+REST = 0.5  # s; a terminal that has something to show shows it before
 GAP = 0.03  # s between two looks at the same thing
 SCREEN = 1100, 700  # px of the X server; windows are smaller
 FONT = "DejaVu Sans Mono"
@@ -244,15 +245,18 @@ class Terminal:
         return image[:height, :width]
 
     def at_rest(self) -> np.ndarray:
-        """The window, once four photographs in a row are the same."""
-        last: list[np.ndarray] = []
+        """The window, once it has not changed for ``REST`` s."""
+        last, since = self.photograph(), time.monotonic()
 
         def still() -> bool:
-            last[:] = [*last[-3:], self.photograph()]
-            return len(last) == 4 and all(np.array_equal(last[0], other) for other in last[1:])
+            nonlocal last, since
+            before, last = last, self.photograph()
+            if not np.array_equal(before, last):
+                since = time.monotonic()
+            return time.monotonic() - since > REST
 
         await_("a screen at rest", still)
-        return last[0]
+        return last
 
     def shows(self, what: str, wanted: np.ndarray, seconds: float = PATIENCE) -> None:
         """Waits until every pixel of the window is as ``wanted``."""
