@@ -9,7 +9,6 @@ a fixed time to be in step: what is waited for is looked at until it is there.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import fcntl
 import os
 import shlex
@@ -357,11 +356,6 @@ class Terminal:
         end(self.process)
 
 
-def with_us() -> None:
-    """For a child before exec: when the process that started it is killed, it is, too."""
-    ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
-
-
 def end(process: subprocess.Popen[bytes]) -> None:
     """Ends it and all that it has started."""
     for signum in (signal.SIGTERM, signal.SIGKILL):
@@ -409,11 +403,13 @@ def opened(make: Make, folder: Path, columns: int = 80, rows: int = 24) -> Itera
     with contextlib.ExitStack() as stack:
         log = stack.enter_context((folder / "log").open("wb"))
 
+        # What this process starts goes with it, even if it is killed
+        with_us = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
+
         def start(command: list[str], **kwargs: object) -> subprocess.Popen[bytes]:
             process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
-                cwd=home, preexec_fn=with_us,  # noqa: PLW1509 - no threads here
-                **kwargs,
+                [*with_us, *command], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                start_new_session=True, cwd=home, **kwargs,
             )  # fmt: skip
             stack.callback(end, process)
             return process

@@ -189,7 +189,7 @@ def test_what_is_kept_is_what_is_shown(case: Case, viewing: Callable[[Case], Vie
         def kept() -> bool:
             """A key may go on to move the camera for a moment: then P comes too early."""
             before = view.shown()
-            name = f"tsplat-demo-{len(list(state.glob('*.png'))) + 1:03d}.png"
+            name = f"tsplat-demo-{len(list(state.glob('tsplat-demo-*.png'))) + 1:03d}.png"
             view.terminal.press("p")
             await_("the file", (state / name).exists)
             await_("all of it", lambda: readable(state / name) is not None)
