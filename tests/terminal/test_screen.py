@@ -109,6 +109,18 @@ def test_a_stuck_terminal_does_not_hold_us():
         assert terminal.mode() == terminal.saved
 
 
+def test_a_late_answer_is_not_left_to_the_shell():
+    """A terminal that has answered is waited for on the way out: it may be busy with a picture."""
+    with FakeTerminal() as terminal:
+        with session(terminal) as s:
+            s.draw(b"frame")
+            while s.busy:
+                s.read_events(5.0)
+            terminal.delay = 0.5
+        time.sleep(0.7)
+        assert terminal.output.endswith(b"\x1b[?1049l\x1b[c")  # and no answer, echoed
+
+
 def test_restored_at_interpreter_exit():
     """Even when the ``with`` block is never left."""
     with FakeTerminal(extra=TELLS) as terminal:
