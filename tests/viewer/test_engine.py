@@ -91,7 +91,7 @@ def test_edits_are_made_to_the_scene_as_it_was():
         scene = engine.prepared(replace(NUMPY, edits=Edits(splat_scale=scale))).scene
         np.testing.assert_array_equal(scene.scales, SCENE.scales * np.float32(scale))
         assert scene.sh is SCENE.sh
-    cut = engine.prepared(replace(NUMPY, edits=Edits(opacity_min=0.4))).scene
+    cut = engine.prepared(replace(NUMPY, edits=Edits(min_opacity=0.4))).scene
     assert (cut.opacities > 0).tolist() == [True, True, False]
     np.testing.assert_array_equal(cut.scales, SCENE.scales)
     assert engine.prepared(replace(NUMPY, edits=NOTHING)).scene is SCENE
@@ -99,8 +99,8 @@ def test_edits_are_made_to_the_scene_as_it_was():
 
 
 def test_a_scene_that_begins_edited_can_be_had_unedited():
-    """--opacity-min and then none."""
-    look = replace(NUMPY, edits=Edits(opacity_min=0.4))
+    """--min-opacity and then none."""
+    look = replace(NUMPY, edits=Edits(min_opacity=0.4))
     engine = made(look)
     assert (engine.prepared(look).scene.opacities > 0).sum() == 2
     assert engine.prepared(NUMPY).scene is SCENE

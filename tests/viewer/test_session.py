@@ -289,7 +289,7 @@ def keep_and_make_again(session, folder, number=1):
 EVERYTHING = (
     "--max-splats", "400", "--set", "scale=0.5,alpha_threshold=2/255", "--antialias",
     "--background", "0.2,0.4,0.6", "--crop=-1,-1.5,-1,1,1.5,2", "--saturation", "1.7",
-    "--opacity-min", "0.55", "--splat-scale", "1.3", "--sh-degree", "0", "--fov", "40",
+    "--min-opacity", "0.55", "--splat-scale", "1.3", "--sh-degree", "0", "--fov", "40",
 )  # fmt: skip
 
 

@@ -55,6 +55,7 @@ PATIENCE_SECONDS = 20.0  # and of one that did: the line is slow, or the network
 BURST_SECONDS = 0.01  # what ``max_rate`` allows in that time goes at once
 PIECE = 256  # bytes; a tty that can be written to takes so many without a long wait
 LEAVE_SECONDS = 0.15  # for what is still under way when we leave
+BUSY_SECONDS = 3.0  # likewise, of a terminal that has answered before: it will, when it gets to it
 NUDGES_SECONDS = 0.02, 0.1, 0.5, 2.0  # the later ones for a terminal that has no time to draw
 GIVE_UPS = 3  # unanswered frames in a row before we stop to ask
 
@@ -244,9 +245,10 @@ class Screen:
         self._rest.clear()
         undo += END_UPDATE + STRING_END + self.cleanup + self._undone()
         undo += PLAIN + SHOW_CURSOR + LEAVE_ALTERNATE
+        seconds = BUSY_SECONDS if self._answered and self._answering else LEAVE_SECONDS
         try:
-            if device.write_all(self._writable, undo + DA1, LEAVE_SECONDS) and self._answering:
-                device.read_answers(self._in, LEAVE_SECONDS)  # else the shell would get them
+            if device.write_all(self._writable, undo + DA1, seconds) and self._answering:
+                device.read_answers(self._in, seconds)  # else the shell would get them
         except OSError:
             pass  # the terminal is gone
         finally:

@@ -24,7 +24,7 @@ LEVELS = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125)
 SHORTEST = 32  # px: none of them makes a side shorter that is not so already
 DEAR = (2, 4, 8, 16, 32)  # where bytes are dear: one px for so many each way, with each of SHADES
 DEAR_SHORTEST = 8  # px
-SHADES = {16: 0.4, 8: 0.28}  # how many of a channel: what is left of the bytes, kitty's and cells'
+SHADES = {16: 0.4, 8: 0.26}  # how many of a channel: what is left of the bytes, kitty's and cells'
 SLOW = 0.1  # s a frame
 PREVIEW = 80_000  # px of the first picture, when nothing is known of link and scene
 SAMPLES = 3  # of a level: their median counts, so that one hiccup does not
@@ -205,7 +205,7 @@ class Pace:
     def head_start(self, level: int) -> float | None:
         """How long before the link is free the next frame is to be begun, in s.
 
-        None: it is not the link that frames wait for. Where it is, one begun earlier only grows old.
+        None: it is not the link that frames wait for. Where it is, an earlier one only grows old.
         """
         if not self._made or self._fine == len(self._levels):
             return None
