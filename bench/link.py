@@ -3,8 +3,8 @@
     python bench/link.py [--rate 1] [--delay 100] [--presenters kitty,sixel] [--markdown] [--json F]
 
 Two network namespaces, a link of so many Mbit/s and ms there and back between them (network.py;
-root). In the one `tsplat view` runs in a pty of 100x34 cells of 10x20 px, and a relay that stands in
-for sshd carries the pty over TCP. In the other a terminal answers questions and status reports
+root). In the one `tsplat view` runs in a pty of 100x34 cells of 10x20 px, and a relay, standing in
+for sshd, carries the pty over TCP. In the other a terminal answers questions and status reports
 when it has read everything before them, and types keys:
 
 - 20 taps, a quarter of them when the picture is there in full, the others at any time before;

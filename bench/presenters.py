@@ -161,9 +161,7 @@ def presenter_row(way: Way, frames: list[Frame], few: list[Frame]) -> Row:
     def decoded(data: bytes) -> U8:
         return decode(data, screen)
 
-    moving, note = cost(
-        lambda n: presenter.encode(frames[n], screen, frames[n - 1] if n else None), frames, None
-    )
+    moving, note = cost(lambda n: presenter.encode(frames[n], screen, frames[n - 1]), frames, None)
     alone, note = cost(lambda n: presenter.encode(frames[n], screen, None), frames, decoded)
     moving.psnr = alone.psnr
     same, _ = cost(lambda n: presenter.encode(frames[n], screen, copies[n]), frames, None)
@@ -171,7 +169,7 @@ def presenter_row(way: Way, frames: list[Frame], few: list[Frame]) -> Row:
     coarse, rest = Cost(), Cost()
     if presenter.fill is not None:
         fill = presenter.fill
-        coarse, _ = cost(lambda n: fill(few[n], screen, few[n - 1] if n else None), few, None)
+        coarse, _ = cost(lambda n: fill(few[n], screen, few[n - 1]), few, None)
     if presenter.rest is not None:
         last = presenter.rest
         rest, _ = cost(lambda n: last(frames[n], screen), frames, decoded)

@@ -295,7 +295,7 @@ def _add_edits(parser: argparse.ArgumentParser) -> None:
         "--splat-scale", type=_positive, default=1.0, metavar="F", help="times as large splats (1)"
     )
     edits.add_argument(
-        "--opacity-min", type=_share, default=0.0, metavar="O",
+        "--min-opacity", type=_share, default=0.0, metavar="O",
         help="leave out Gaussians of less opacity, 0 to 1 (0)",
     )  # fmt: skip
     edits.add_argument(

@@ -18,7 +18,8 @@ from tests.conftest import ROOT, hear_signals
 
 COLUMNS, ROWS = 60, 20
 LEAVE = b"\x1b[?1049l"
-CELL = "▀".encode()
+CELL = "▀".encode()  # in most pictures; of few pixels, whole cells may do
+COLOR = b"48;2;"  # SGR: of a cell, in any picture
 DSR = b"\x1b[5n"
 
 

@@ -91,7 +91,7 @@ def test_edits_are_made_to_the_scene_as_it_was():
         scene = engine.prepared(replace(NUMPY, edits=Edits(splat_scale=scale))).scene
         np.testing.assert_array_equal(scene.scales, SCENE.scales * np.float32(scale))
         assert scene.sh is SCENE.sh
-    cut = engine.prepared(replace(NUMPY, edits=Edits(opacity_min=0.4))).scene
+    cut = engine.prepared(replace(NUMPY, edits=Edits(min_opacity=0.4))).scene
     assert (cut.opacities > 0).tolist() == [True, True, False]
     np.testing.assert_array_equal(cut.scales, SCENE.scales)
     assert engine.prepared(replace(NUMPY, edits=NOTHING)).scene is SCENE
@@ -99,8 +99,8 @@ def test_edits_are_made_to_the_scene_as_it_was():
 
 
 def test_a_scene_that_begins_edited_can_be_had_unedited():
-    """--opacity-min and then none."""
-    look = replace(NUMPY, edits=Edits(opacity_min=0.4))
+    """--min-opacity and then none."""
+    look = replace(NUMPY, edits=Edits(min_opacity=0.4))
     engine = made(look)
     assert (engine.prepared(look).scene.opacities > 0).sum() == 2
     assert engine.prepared(NUMPY).scene is SCENE
@@ -151,6 +151,46 @@ def test_a_backend_that_does_not_load_is_passed_over(monkeypatch):
     assert "failed to load" in got.trouble
     assert got.trouble.isprintable()
     assert got.plan is engine.prepared_last.plan
+
+
+def failing(error):
+    """Makes plans whose projection raises."""
+
+    def project(*arguments):
+        raise error
+
+    def plan(scene, **words):
+        made = make_plan(scene, **{**words, "backend": "numpy"})
+        return replace(made, stages=replace(made.stages, project=project), fused=None)
+
+    return plan
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("by \x1b zero"), MemoryError(),
+                                   PluginError("lost")])  # fmt: skip
+def test_a_backend_that_fails_while_it_draws_is_passed_over(monkeypatch, error):
+    """The last look that was drawn is drawn on, and why is told; it is not tried for each frame."""
+    engine, camera = made(), lens()
+    right = engine.run(NUMPY, camera)[1].frame.rgb.copy()
+    monkeypatch.setattr(module, "make_plan", failing(error))
+    bad = replace(NUMPY, backend="x", threads=2)
+    for _ in range(2):
+        prepared, rendered = engine.run(bad, camera)
+        np.testing.assert_array_equal(rendered.frame.rgb, right)
+        assert prepared.trouble.startswith("numpy failed: ")
+        assert prepared.trouble.isprintable()
+        assert prepared.look == NUMPY
+    monkeypatch.setattr(module, "make_plan", make_plan)
+    prepared, _ = engine.run(replace(NUMPY, threads=3), camera)
+    assert prepared.trouble == ""
+    assert prepared.plan.threads == 3
+
+
+def test_the_first_picture_that_fails_is_an_error():
+    """There is nothing to fall back on; nor where what drew all the time fails."""
+    plan = failing(ZeroDivisionError("by zero"))(SCENE)
+    with pytest.raises(ZeroDivisionError):
+        Engine(SCENE, plan, NUMPY).run(NUMPY, lens())
 
 
 # --- what is under the cursor

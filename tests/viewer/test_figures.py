@@ -56,15 +56,15 @@ def test_the_status_line_has_the_most_important_first():
 def test_the_status_line_says_what_is_not_usual():
     """Shortcuts, edits, fewer pixels, frames and the link; none of it when all is usual."""
     plain = "  ".join(status(shown()))
-    for words in ("fast", "opacity_min", "fps", "bit/s", "/"):
+    for words in ("fast", "min_opacity", "fps", "bit/s", "/"):
         assert words not in plain, words
     parts = status(
         shown(
-            params=PRESETS["fast"], look=Look(edits=Edits(opacity_min=0.1)), size=(20, 15),
+            params=PRESETS["fast"], look=Look(edits=Edits(min_opacity=0.1)), size=(20, 15),
             frames=24.4, link=Link(0.012, 2.5e6),
         )
     )  # fmt: skip
-    for words in ("fast", "opacity_min=0.1", "24 fps", "sixel 20x15/40x30", "12 ms 20 Mbit/s"):
+    for words in ("fast", "min_opacity=0.1", "24 fps", "sixel 20x15/40x30", "12 ms 20 Mbit/s"):
         assert words in parts, words
 
 

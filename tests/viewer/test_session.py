@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import shlex
+import shutil
 import signal
 import struct
 import subprocess
@@ -19,7 +20,8 @@ from PIL import Image
 from tests.conftest import ROOT
 from tests.io.plywriter import names_inria
 from tests.viewer.grid import Grid
-from tests.viewer.session import CELL, ROWS, Session
+from tests.viewer.session import COLOR, ROWS, Session
+from tsplat.commands.view import _quoted
 from tsplat.core.camera import look_at
 from tsplat.io.cameras import camera_to_json
 from tsplat.paths import load_path
@@ -140,7 +142,7 @@ def test_arrows_change_a_setting_and_the_picture(sessions):
     before = len(session.output)
     session.send(RIGHT)
     session.rest()
-    assert CELL in session.output[before:]
+    assert COLOR in session.output[before:]
     assert "< 55 degrees >" in seen(session).text(3)
     session.send(b"\x7f")
     session.rest()
@@ -179,7 +181,7 @@ def test_a_double_click_goes_there(sessions):
 @pytest.mark.parametrize("size", [(8, 20, 0, 0), (150, 500, 0, 0), (20, 60, 0, 0), (2, 9, 0, 0)])
 def test_panel_and_help_at_any_size(sessions, size):
     """Every row of the panel and every key of the help can be scrolled to; nothing is outside."""
-    session = sessions("--threads", "2", size=size)
+    session = sessions("--eye", "0,-1,-300", "--target", "0,0,0", size=size)  # few bytes
     session.press(b"\t")
     session.rest()
     for _ in range(80):
@@ -287,7 +289,7 @@ def keep_and_make_again(session, folder, number=1):
 EVERYTHING = (
     "--max-splats", "400", "--set", "scale=0.5,alpha_threshold=2/255", "--antialias",
     "--background", "0.2,0.4,0.6", "--crop=-1,-1.5,-1,1,1.5,2", "--saturation", "1.7",
-    "--opacity-min", "0.55", "--splat-scale", "1.3", "--sh-degree", "0", "--fov", "40",
+    "--min-opacity", "0.55", "--splat-scale", "1.3", "--sh-degree", "0", "--fov", "40",
 )  # fmt: skip
 
 
@@ -320,6 +322,19 @@ def test_the_printed_command_makes_the_picture_again(sessions, folder, words, ke
     assert np.abs(kept - again).max() <= 1
     assert (kept != again).mean() < 1e-3
     assert shlex.quote(NAME) in command
+
+
+def test_a_hostile_name_is_harmless_in_the_command():
+    """No control character reaches the screen, and bash reads the name as it is."""
+    bash = shutil.which("bash")
+    if bash is None:
+        pytest.skip("$'...' is bash's; dash does not have it yet")
+    for name in ("a b'c", "x\x1b[2Jy\n$(id)`id`", "\x9b日本 \\'\"", "-rf"):
+        quoted = _quoted(name)
+        assert quoted.isprintable()
+        made = subprocess.run([bash, "-c", f"printf %s {quoted}"],
+                              capture_output=True, check=True)  # fmt: skip
+        assert made.stdout.decode() == name
 
 
 def test_a_files_camera_makes_the_same_bits(sessions, folder):
@@ -452,7 +467,7 @@ def test_a_backend_that_fails_to_load_is_told_and_the_picture_stays(sessions, tm
     before = len(session.output)
     session.send(b"j")
     session.rest()
-    assert CELL in session.output[before:]
+    assert COLOR in session.output[before:]
     session.press(b"g")
     session.wait_for(b"backend cffi", before)
     session.send(b"j")

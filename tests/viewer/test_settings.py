@@ -31,7 +31,7 @@ CHANGES = {
     "depth bits": {"look.params.depth_bits"},
     "low-pass filter": {"look.params.low_pass"},
     "splat scale": {"look.edits.splat_scale"},
-    "opacity cut": {"look.edits.opacity_min"},
+    "opacity cut": {"look.edits.min_opacity"},
     "raw opacity": {"look.edits.raw_opacity"},
     "saturation": {"look.edits.saturation"},
     "background": {"look.background"},

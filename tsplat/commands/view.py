@@ -186,7 +186,7 @@ def scene_words(arguments: argparse.Namespace, look: Look) -> list[str]:
     else:
         words += ["--set", settings]
     changes = look.edits
-    for name in ("splat_scale", "opacity_min", "saturation"):
+    for name in ("splat_scale", "min_opacity", "saturation"):
         if (value := getattr(changes, name)) != getattr(NOTHING, name):
             words += [f"--{name.replace('_', '-')}", repr(value)]
     if changes.crop is not None:

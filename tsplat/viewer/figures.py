@@ -49,7 +49,7 @@ def status(shown: Shown, panel: bool = False) -> list[str]:
         f"{shown.frames:.0f} fps" if shown.frames else "",
         f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{plan.threads}",
         f"{shown.presenter} {_size(shown)}",
-        "arrows set  Backspace resets  Tab closes" if panel else "? keys  Tab settings",
+        "arrows set  Tab closes" if panel else "? keys  Tab settings",
         f"{shown.encode * 1e3:.1f} ms {shown.sent / 1e3:.0f} kB",
         _link(shown.link) if shown.link else "",
     ]

@@ -489,8 +489,7 @@ class Viewer:
         if repeated:
             camera = replace(camera, width=picture.covered[0], height=picture.covered[1])
         camera = camera.resized(*(n * samples for n in picture.size))
-        prepared = self._engine.prepared(look)
-        rendered = prepared.plan.run(prepared.scene, camera, self._engine.workspace)
+        prepared, rendered = self._engine.run(look, camera)
         frame = averaged(rendered.frame.over(look.background), samples)
         if repeated:
             frame = cropped(enlarged(frame, *picture.covered), *full)
@@ -629,7 +628,7 @@ class Viewer:
         heads.told = verifier.text if verifier else ""
         recording = "recording" if self._recording is not None else ""
         panel = self._layout.panel is not None
-        parts = status(heads.shown, panel) if heads.shown else ()
+        parts = status(heads.shown, panel) if heads.shown else [self._engine.name]
         words = [notice, recording, heads.told, *parts]
         return status_line(words, terminal, alarm=verifier is not None and verifier.broken > 0)
 

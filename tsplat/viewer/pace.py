@@ -205,7 +205,7 @@ class Pace:
     def head_start(self, level: int) -> float | None:
         """How long before the link is free the next frame is to be begun, in s.
 
-        None: it is not the link that frames wait for. Where it is, one begun earlier only grows old.
+        None: it is not the link that frames wait for. Where it is, an earlier one only grows old.
         """
         if not self._made or self._fine == len(self._levels):
             return None

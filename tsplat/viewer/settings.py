@@ -257,9 +257,9 @@ QUALITY: Sequence[Row] = (
 SCENE: Sequence[Row] = (
     _factor("splat scale", lambda v: v.look.edits.splat_scale,
             lambda v, value: v.editing(splat_scale=value), 2**0.25, 1 / 64, 16.0),
-    Row("opacity cut", lambda v, f: f"{v.look.edits.opacity_min:g}",
-        lambda v, by, f: v.editing(opacity_min=_stepped(CUTS, v.look.edits.opacity_min, by)),
-        lambda v: v.editing(opacity_min=0.0)),
+    Row("opacity cut", lambda v, f: f"{v.look.edits.min_opacity:g}",
+        lambda v, by, f: v.editing(min_opacity=_stepped(CUTS, v.look.edits.min_opacity, by)),
+        lambda v: v.editing(min_opacity=0.0)),
     _switch("raw opacity", lambda v: v.look.edits.raw_opacity,
             lambda v, on: v.editing(raw_opacity=on)),
     Row("saturation", lambda v, f: f"{v.look.edits.saturation:.3g}",
