@@ -307,9 +307,9 @@ EVERYTHING = (
 def test_the_printed_command_makes_the_picture_again(sessions, folder, words, keys):
     """Run in a shell as it is printed: within one level of 8 bits, in next to no pixel.
 
-    Not always the same bits: the camera is said by eye, target and up, so that one can change it,
-    and its rotation is worked out from those again, with other roundings in float64. Where that
-    moves a float32 by its last bit, a colour may be rounded otherwise.
+    The same bits are not promised: the camera is said by eye, target and up, so that one can change
+    it, and its rotation is worked out again from those, which moves it by some 1e-15. Where that
+    changes the last bit of a float32, a colour may be rounded otherwise.
     """
     session = sessions(*words)
     for key in keys:
