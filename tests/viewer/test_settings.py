@@ -9,7 +9,7 @@ import pytest
 from tests.viewer.rules import FACTS, VIEW, changed, flat
 from tsplat.core.params import KNOBS, PRESETS
 from tsplat.viewer import settings
-from tsplat.viewer.settings import sections
+from tsplat.viewer.settings import Facts, sections
 from tsplat.viewer.text import width
 
 KNOBS_CHANGED = {f"look.params.{knob}" for knob in KNOBS}
@@ -211,3 +211,10 @@ def test_the_box_is_there_while_there_is_one():
     crop = view.look.edits.crop
     assert crop.low[0] == crop.high[0]
     assert crop.low[1:] == CROPPED.look.edits.crop.low[1:]
+
+
+def test_opacities_that_were_read_raw_are_not_taken_back_twice():
+    """There is no row for it then: the file is read so already."""
+    names = [[row.name for _, rows in sections(VIEW, Facts(read_raw=raw)) for row in rows]
+             for raw in (False, True)]  # fmt: skip
+    assert set(names[0]) - set(names[1]) == {"raw opacity"}

@@ -103,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
             view = view.playing(path)
         around = Around(
             registry.presenters, usable_backends(registry, scene, wanted), keeper,
-            partial(scene_cameras, arguments), verifier,
+            partial(scene_cameras, arguments), verifier, arguments.raw_opacity,
         )  # fmt: skip
         Viewer(screen, Engine(unedited, plan, look), view, around, pipeline=pipeline).run()
     return 1 if verifier is not None and verifier.broken else 0

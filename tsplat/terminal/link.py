@@ -13,7 +13,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-FAR = 0.010  # s of latency from which a terminal counts as far; on this machine it takes less
+FAR = 0.020  # s of latency from which a terminal counts as far; on this machine it takes less
 AHEAD = 0.015  # s before the bottleneck runs dry the next frame may go: timers are not exact
 PACED = 0.050  # s of bytes that are given to it at a time: what a key may find in its way
 PIECE_SECONDS = 0.01  # s of bytes that are worth writing
@@ -54,9 +54,8 @@ class Link:
         self._flying: deque[_Frame] = deque()
         self._answered = -math.inf  # the last answer
         self._samples: deque[tuple[int, float]] = deque(maxlen=SAMPLES)  # bytes, s
-        self._drained = (
-            -math.inf
-        )  # when the bottleneck has sent what it was given, if ``rate`` is right
+        # When the bottleneck has sent what it was given, if ``rate`` is right
+        self._drained = -math.inf
 
     @property
     def far(self) -> bool:
@@ -125,7 +124,7 @@ class Link:
         At the right rate it has ``PACED`` s to do when the end of a frame is written.
         """
         held_back = PACED < frame.ended - frame.begun < math.inf
-        return held_back and now - frame.ended - (self.latency or 0.0) < PACED / 2
+        return held_back and now - frame.ended - (self.latency or 0.0) < PIECE_SECONDS
 
     def lost(self) -> None:
         """No answers come to what is under way, and nobody knows what has become of it."""

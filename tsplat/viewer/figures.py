@@ -14,6 +14,9 @@ from tsplat.presenters.base import Terminal
 from tsplat.viewer.look import Look
 from tsplat.viewer.pace import Link
 
+LINKED = 2000
+"""Bytes of a frame from which it says something about the link's rate."""
+
 
 @dataclass(frozen=True, eq=False)
 class Shown:
@@ -123,7 +126,9 @@ def _size(shown: Shown) -> str:
 
 
 def _link(link: Link) -> str:
-    return f"{link.seconds * 1e3:.0f} ms {bits(link.rate)}"
+    """The rate only of frames that take the link some time, not of what goes through memory."""
+    told = f" {bits(link.rate)}" if link.rate * link.seconds > LINKED else ""
+    return f"{link.seconds * 1e3:.0f} ms{told}"
 
 
 def bits(rate: float) -> str:

@@ -93,6 +93,7 @@ class Around:
     keeper: Keeper
     cameras: Callable[[], Sequence[Camera]]  # of the scene's file; CameraError if there is none
     verifier: Verifier | None = None
+    read_raw: bool = False  # with --raw-opacity
 
 
 @dataclass
@@ -614,6 +615,7 @@ class Viewer:
             self._around.backends,
             {"presenter": self._presenter.name, "backend": self._engine.backends},
             self._heads.figures,
+            self._around.read_raw,
         )  # fmt: skip
 
     def _words(self) -> bytes:
