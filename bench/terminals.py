@@ -6,8 +6,8 @@
 Frames are of the demo scene, the camera moving, in the pixels of 80x24 cells, and made before
 anything is timed. Each presenter that the terminal can show encodes them in this process, as the
 viewer does, each with the one before it known; so it does the last one, which then rests, and once
-more when nothing has changed. chafa, img2sixel and timg, where they are installed, encode the same
-frames into a pty of the same size beforehand; the time each takes for a picture of 8x8 px is
+more when nothing has changed. libsixel and libchafa, where they are installed, encode frames of the
+same pixels in this process, too; timg is a program, and the time it takes for a picture of 8x8 px is
 subtracted. What anyone has encoded is written here and followed by a status report: the
 terminal's time is from the first byte until its answer. Times and bytes are medians over the
 frames.
@@ -24,6 +24,7 @@ import statistics
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
@@ -31,12 +32,15 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).parent)]
 
-from bench.presenters import in_pty, make_frames, programs, version
-from tsplat.core.types import Frame
+from libraries import libchafa, libsixel
+from presenters import in_pty, make_frames
+
+from tsplat.core.types import U8, Frame
 from tsplat.plugins import plugins
-from tsplat.presenters.base import Presenter, Terminal
+from tsplat.presenters.base import Presenter, Terminal, sampling
+from tsplat.presenters.enlarge import averaged
 from tsplat.terminal import device
 from tsplat.terminal.screen import BEGIN_UPDATE, CLEAR, END_UPDATE, HOME, STATUS_REPORT
 from tsplat.terminal.sharing import Sharing
@@ -94,30 +98,65 @@ def ours(presenter: Presenter, frames: list[Frame], terminal: Terminal) -> dict[
     }
 
 
-def theirs(
-    command: list[str], frames: list[Frame], columns: int, rows: int
-) -> dict[str, float] | None:
-    """The same of a program; it sends a still frame again, so that is no other."""
-    from PIL import Image
-
-    encode, link, sent = [], [], []
-    with tempfile.TemporaryDirectory() as folder:
-        tiny = Path(folder) / "tiny.ppm"
-        Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(tiny)
-        starting = min(in_pty([*command, str(tiny)], columns, rows)[1] for _ in range(3))
-        for n, frame in enumerate(frames):
-            path = Path(folder) / f"{n}.ppm"
-            Image.fromarray(frame.to_uint8()).save(path)
-            data, seconds = in_pty([*command, str(path)], columns, rows + 1)
-            encode.append(max(0.0, seconds - starting))
-            sent.append(len(data))
-            link.append(show(BEGIN_UPDATE + HOME + data + END_UPDATE))
+def theirs(encode: Callable[[Frame], tuple[bytes, float]], frames: list[Frame]) -> dict[str, float]:
+    """The same of another; it sends a still frame again, so that is no other."""
+    times, link, sent = [], [], []
+    for frame in frames:
+        data, seconds = encode(frame)
+        times.append(seconds)
+        sent.append(len(data))
+        link.append(show(BEGIN_UPDATE + HOME + data + END_UPDATE))
     os.write(1, CLEAR)
     return {
-        "encode": 1e3 * statistics.median(encode),
+        "encode": 1e3 * statistics.median(times),
         "terminal": 1e3 * statistics.median(link),
         "bytes": statistics.median(sent),
     }
+
+
+def library(encode: Callable[[U8], bytes]) -> Callable[[Frame], tuple[bytes, float]]:
+    """One that takes 8 bits, and is not charged for making them."""
+    return lambda frame: timed(encode, frame.to_uint8())
+
+
+def program(option: str, folder: Path) -> Callable[[Frame], tuple[bytes, float]]:
+    """timg, without the time it takes to start."""
+    from PIL import Image
+
+    command, picture = ["timg", f"-g{COLUMNS}x{ROWS + 1}", f"-p{option}"], folder / "picture.ppm"
+    Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(picture)
+    starting = min(in_pty([*command, str(picture)], COLUMNS, ROWS + 1)[1] for _ in range(5))
+
+    def encode(frame: Frame) -> tuple[bytes, float]:
+        Image.fromarray(frame.to_uint8()).save(picture)
+        data, seconds = in_pty([*command, str(picture)], COLUMNS, ROWS + 1)
+        return data, max(0.0, seconds - starting)
+
+    return encode
+
+
+def peers(
+    terminal: Terminal, folder: Path
+) -> Iterator[tuple[str, Callable[[Frame], tuple[bytes, float]]]]:
+    """Those that are installed and speak what ``terminal`` takes."""
+    cell = round(terminal.cell_width), round(terminal.cell_height)
+    found = []
+    if terminal.kitty:
+        found.append(("libchafa kitty", libchafa("kitty", COLUMNS, ROWS, cell)))
+    if terminal.iterm2:
+        found.append(("libchafa iterm2", libchafa("iterm2", COLUMNS, ROWS, cell)))
+    if terminal.sixel:
+        found.append(("libchafa sixel", libchafa("sixel", COLUMNS, ROWS, cell)))
+        found += [("libsixel", libsixel()), ("libsixel, no diffusion", libsixel(False))]
+    found.append(("libchafa half blocks", libchafa("symbols", COLUMNS, ROWS, cell, "vhalf")))
+    for name, encode in found:
+        if encode is not None:
+            yield name, library(encode)
+    if shutil.which("timg"):
+        ways = (("k", terminal.kitty), ("i", terminal.iterm2), ("h", True))
+        for option, taken in ways:
+            if taken:
+                yield f"timg -p{option}, the program", program(option, folder)
 
 
 def measure(file: Path) -> None:
@@ -132,32 +171,19 @@ def measure(file: Path) -> None:
         terminal = replace(found, columns=COLUMNS, rows=ROWS + 1)
         for name, presenter in sorted(plugins().presenters.items(), key=lambda p: -p[1].rank):
             if presenter.unsupported(terminal) is None:
-                frames = make_frames(*presenter.size(terminal), FRAMES)
+                samples = sampling(presenter, terminal)
+                size = (n * samples for n in presenter.size(terminal))
+                frames = [averaged(frame, samples) for frame in make_frames(*size, FRAMES)]
                 rows[f"tsplat {name}"] = ours(presenter, frames, terminal)
         frames = make_frames(*terminal.pixels, FRAMES)
-        for name, command, _ in programs(COLUMNS, ROWS):
-            kind = name.split()[-1] if name.split()[-1] in ("kitty", "iterm2", "sixel") else "sixel"
-            if getattr(terminal, kind):
-                label = name.replace(command[0], f"{command[0]} {version(command[0])}", 1)
-                try:
-                    rows[label] = theirs(command, frames, COLUMNS, ROWS) or {}
-                except (OSError, TimeoutError) as error:
-                    rows[f"{label}: {error}"] = {}
-        for command in cells():
-            label = f"{command[0]} {version(command[0])} half blocks"
-            rows[label] = theirs(command, frames, COLUMNS, ROWS) or {}
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        for name, encode in peers(terminal, folder):
+            rows[name] = theirs(encode, frames)
         del saved
     kept = json.loads(file.read_text()) if file.exists() else {}
     size = "{}x{} px".format(*terminal.pixels)
     kept[found.name or os.environ.get("TERM", "unknown")] = {"size": size, "rows": rows}
     file.write_text(json.dumps(kept, indent=1))
-
-
-def cells() -> list[list[str]]:
-    """Commands that show pictures in half blocks, of what is installed."""
-    chafa = ["chafa", f"--size={COLUMNS}x{ROWS}", "--animate=off", "-f", "symbols", "--symbols"]
-    commands = [[*chafa, "vhalf", "--colors=full"], ["timg", f"-g{COLUMNS}x{ROWS + 1}", "-ph"]]
-    return [command for command in commands if shutil.which(command[0])]
 
 
 class raw:  # noqa: N801 - a context manager
