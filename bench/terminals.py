@@ -7,7 +7,7 @@ Frames are of the demo scene, the camera moving, in the pixels of 80x24 cells, a
 anything is timed. Each presenter that the terminal can show encodes them in this process, as the
 viewer does, each with the one before it known; so it does the last one, which then rests, and once
 more when nothing has changed. libsixel and libchafa, where they are installed, encode frames of the
-same pixels in this process, too; timg is a program, and the time it takes for a picture of 8x8 px is
+same pixels in this process, too; timg is a program, and what it takes for a picture of 8x8 px is
 subtracted. What anyone has encoded is written here and followed by a status report: the
 terminal's time is from the first byte until its answer. Times and bytes are medians over the
 frames.
