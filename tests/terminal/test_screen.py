@@ -81,11 +81,16 @@ def test_restored_on_deadly_signals(signum, body):
         check_restored(terminal)
 
 
-def test_a_second_signal_interrupts_work():
+def test_a_second_signal_interrupts_work(tmp_path):
     """The first is noted while the program computes, the second ends it there."""
+    working = tmp_path / "working"  # it is out of the screen's calls, which a signal would end
+    body = f"while True: open({str(working)!r}, 'w').close(); time.sleep(0.01)"
     with FakeTerminal(extra=TELLS) as terminal:
-        process = terminal.spawn(SESSION.format(body="while True: time.sleep(0.01)"))
+        process = terminal.spawn(SESSION.format(body=body))
         terminal.wait_for(b"READY")
+        while not working.exists():
+            assert process.poll() is None
+            time.sleep(0.01)
         process.send_signal(signal.SIGTERM)
         time.sleep(0.2)
         assert process.poll() is None
