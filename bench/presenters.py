@@ -53,6 +53,7 @@ from tsplat.presenters.iterm2 import ITERM2
 from tsplat.presenters.kitty import KITTY
 from tsplat.presenters.letters import LETTERS
 from tsplat.presenters.sixel import SIXEL
+from tsplat.quality.measure import decibels
 from tsplat.terminal.sharing import Sharing
 from tsplat.testing import decoders
 from tsplat.views import FOV, frame_orbit
@@ -114,7 +115,7 @@ def make_frames(width: int, height: int, count: int) -> list[Frame]:
 def psnr(a: U8, b: U8) -> float:
     """dB; inf if equal."""
     squared = float(((a.astype(np.float64) - b) ** 2).mean())
-    return float("inf") if squared == 0 else 10 * float(np.log10(255**2 / squared))
+    return decibels(squared / 255**2)
 
 
 def compared(picture: U8, frame: Frame) -> tuple[float, str]:

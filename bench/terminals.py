@@ -25,7 +25,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,15 @@ from tsplat.plugins import plugins
 from tsplat.presenters.base import Presenter, Terminal, sampling
 from tsplat.presenters.enlarge import averaged
 from tsplat.terminal import device
-from tsplat.terminal.screen import BEGIN_UPDATE, CLEAR, END_UPDATE, HOME, STATUS_REPORT
+from tsplat.terminal.screen import (
+    BEGIN_UPDATE,
+    CLEAR,
+    END_UPDATE,
+    HIDE_CURSOR,
+    HOME,
+    SHOW_CURSOR,
+    STATUS_REPORT,
+)
 from tsplat.terminal.sharing import Sharing
 
 COLUMNS, ROWS = 80, 24
@@ -164,7 +172,7 @@ def measure(file: Path) -> None:
     environ = dict(os.environ)
     rows: dict[str, dict[str, float]] = {}
     with ExitStack() as stack:
-        saved = stack.enter_context(raw())
+        stack.enter_context(screen())
         sharing = stack.enter_context(closing(Sharing(environ)))
         heard = device.ask(0, 1, environ, sharing, 2.0)
         found = sharing.shared_by(heard.terminal(environ, device.window_size(1)))
@@ -179,27 +187,21 @@ def measure(file: Path) -> None:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         for name, encode in peers(terminal, folder):
             rows[name] = theirs(encode, frames)
-        del saved
     kept = json.loads(file.read_text()) if file.exists() else {}
     size = "{}x{} px".format(*terminal.pixels)
     kept[found.name or os.environ.get("TERM", "unknown")] = {"size": size, "rows": rows}
     file.write_text(json.dumps(kept, indent=1))
 
 
-class raw:  # noqa: N801 - a context manager
-    """Raw mode, cursor hidden, alternate screen; all back at the end."""
-
-    def __enter__(self) -> raw:
-        import termios
-
-        self._before = termios.tcgetattr(0)
-        device.set_raw(0)
-        os.write(1, b"\x1b[?1049h\x1b[?25l")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        os.write(1, b"\x1b[?25h\x1b[?1049l")
-        device.set_attributes(0, self._before)
+@contextmanager
+def screen() -> Iterator[None]:
+    """Raw mode, the alternate screen, no cursor; all back at the end."""
+    with device.raw_mode(0):
+        os.write(1, device.ENTER_ALTERNATE + HIDE_CURSOR)
+        try:
+            yield
+        finally:
+            os.write(1, SHOW_CURSOR + device.LEAVE_ALTERNATE)
 
 
 def table(file: Path) -> None:

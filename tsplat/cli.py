@@ -13,6 +13,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
 
@@ -160,31 +161,24 @@ def _cells(text: str) -> int:
     return value
 
 
-def _positive(text: str) -> float:
-    try:
+def _number(text: str, fits: Callable[[float], bool], expected: str) -> float:
+    with suppress(ValueError):
         value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
-    return value
+        if fits(value):
+            return value
+    raise argparse.ArgumentTypeError(f"expected {expected}, got {text!r}")
+
+
+def _positive(text: str) -> float:
+    return _number(text, lambda value: 0 < value < float("inf"), "a number above 0")
 
 
 def _share(text: str) -> float:
-    value = _factor(text)
-    if value > 1:
-        raise argparse.ArgumentTypeError(f"expected 0 to 1, got {text!r}")
-    return value
+    return _number(text, lambda value: 0 <= value <= 1, "0 to 1")
 
 
 def _factor(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value <= 10:
-        raise argparse.ArgumentTypeError(f"expected a number from 0 to 10, got {text!r}")
-    return value
+    return _number(text, lambda value: 0 <= value <= 10, "a number from 0 to 10")
 
 
 def _box(text: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

@@ -68,6 +68,11 @@ class Plan:
         """Stage -> backend name."""
         return {stage: choice.backend for stage, choice in self.choices.items()}
 
+    @property
+    def names(self) -> str:
+        """The backends, each once, in the order of the stages: ``cffi+numpy``."""
+        return "+".join(dict.fromkeys(self.backends.values()))
+
     def run(self, scene: Scene, camera: Camera, workspace: Workspace | None = None) -> Rendered:
         """One frame, with the time each stage took.
 

@@ -22,10 +22,10 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="guard pages need mma
 FAULTS = (-signal.SIGSEGV, -signal.SIGBUS)  # the latter on macOS
 
 
-def child(*args):
-    """``tests/backends/guarded.py`` in a process of its own, since a guard page kills."""
+def child(*args, tests="backends"):
+    """``guarded.py`` of a folder of tests in a process of its own, since a guard page kills."""
     return subprocess.run(
-        [sys.executable, "-X", "faulthandler", "-m", "tests.backends.guarded", *map(str, args)],
+        [sys.executable, "-X", "faulthandler", "-m", f"tests.{tests}.guarded", *map(str, args)],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
 

@@ -11,16 +11,13 @@ from __future__ import annotations
 
 import os
 import random
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from tests.backends.test_guard_pages import FAULTS
-from tests.conftest import ROOT
+from tests.backends.test_guard_pages import FAULTS, child
 from tests.io.plywriter import BIG, LITTLE, REST, TEXT, names_inria, raw_columns, write_ply
 from tests.io.test_half import between_halves
 from tsplat.core.curve import curve_keys
@@ -290,26 +287,19 @@ def test_the_keys_are_numpys(patterns, limits):
     np.testing.assert_array_equal(native.curve_keys(means, low, scale), expected)
 
 
-def child(*args):
-    return subprocess.run(
-        [sys.executable, "-X", "faulthandler", "-m", "tests.io.guarded", *map(str, args)],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-
-
 @pytest.mark.skipif(os.name != "posix", reason="guard pages need mmap and mprotect")
 @pytest.mark.parametrize("side", ["begin", "end"])
 def test_it_stays_within_its_arrays(side):
     """With a guard page at this side of every array, the bits are the same as without."""
     args = "decode", side, random.randrange(2**32)
-    run = child(*args)
+    run = child(*args, tests="io")
     assert run.returncode == 0, f"{args}: exit code {run.returncode}\n{run.stderr[-4000:]}"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="guard pages need mmap and mprotect")
 def test_a_row_too_many_dies():
     """The guard is real: told of one row more than there is, the decoder ends the process."""
-    assert child("overrun").returncode in FAULTS
+    assert child("overrun", tests="io").returncode in FAULTS
 
 
 @pytest.mark.parametrize(("bits", "kept"), [(0x7D7FFFFF, True), (0x7D800000, False)])

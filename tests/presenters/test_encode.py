@@ -2,8 +2,6 @@
 
 import os
 import random
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -12,8 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pictures import frame_of, photo
 
-from tests.backends.test_guard_pages import FAULTS
-from tests.conftest import ROOT
+from tests.backends.test_guard_pages import FAULTS, child
 from tsplat.core.errors import KernelError
 from tsplat.core.types import Frame
 from tsplat.presenters import native, sixel
@@ -140,23 +137,16 @@ def test_what_is_out_of_range_is_refused():
             function(*arguments)
 
 
-def child(*args):
-    return subprocess.run(
-        [sys.executable, "-X", "faulthandler", "-m", "tests.presenters.guarded", *map(str, args)],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-
-
 @pytest.mark.skipif(os.name != "posix", reason="guard pages need mmap and mprotect")
 @pytest.mark.parametrize("side", ["begin", "end"])
 def test_it_stays_within_its_arrays(side):
     """With a guard page at this side of every array, the bytes are the same as without."""
     args = "encode", side, random.randrange(2**32)
-    run = child(*args)
+    run = child(*args, tests="presenters")
     assert run.returncode == 0, f"{args}: exit code {run.returncode}\n{run.stderr[-4000:]}"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="guard pages need mmap and mprotect")
 def test_a_pixel_too_many_dies():
     """The guard is real: told of one row more than there is, the encoder ends the process."""
-    assert child("overrun").returncode in FAULTS
+    assert child("overrun", tests="presenters").returncode in FAULTS

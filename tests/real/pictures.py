@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from tests.presenters import pictures
 from tests.real.desk import tsplat
 from tsplat.core.camera import intrinsics
 from tsplat.demo import demo_scene
@@ -23,8 +24,7 @@ ASIDE = math.radians(20)  # where the second camera stands
 def psnr(got: np.ndarray, wanted: np.ndarray) -> float:
     """Peak signal-to-noise ratio in dB of 8-bit pictures of one shape."""
     assert got.shape == wanted.shape, (got.shape, wanted.shape)
-    error = np.mean((got.astype(float) - wanted) ** 2)
-    return math.inf if error == 0 else float(10 * np.log10(255**2 / error))
+    return float(pictures.psnr(got, wanted))
 
 
 def readable(file: Path) -> np.ndarray | None:

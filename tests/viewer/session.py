@@ -12,6 +12,7 @@ import subprocess
 import sys
 import termios
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 from tests.conftest import ROOT, hear_signals
@@ -30,6 +31,17 @@ def parent_of(pid):
     except OSError:
         return None
     return None if fields[0] in "ZX" else int(fields[1])
+
+
+@contextmanager
+def showing(kind, *words):
+    """A session of that kind on a small demo scene, its first frame shown; gone afterwards."""
+    made = kind("--presenter", "halfblock", "--max-splats", "1000", *words)
+    try:
+        made.pump(lambda: made.frames() >= 1 and CELL in made.output)
+        yield made
+    finally:
+        made.close()
 
 
 class Session:

@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from tests.modes import TELLS, left_on
-from tests.viewer.session import CELL, Session
+from tests.viewer.session import Session, showing
 
 
 class Telling(Session):
@@ -20,10 +20,8 @@ class Telling(Session):
 @pytest.fixture
 def session():
     """The viewer on the demo scene, its first frame shown."""
-    made = Telling("--presenter", "halfblock", "--max-splats", "1000")
-    made.pump(lambda: made.frames() >= 1 and CELL in made.output)
-    yield made
-    made.close()
+    with showing(Telling) as made:
+        yield made
 
 
 def rest(session):

@@ -13,7 +13,7 @@ import time
 
 import pytest
 
-from tests.viewer.session import CELL, COLOR, Session
+from tests.viewer.session import COLOR, Session, showing
 from tsplat.core.camera import look_at
 from tsplat.io.cameras import camera_to_json
 
@@ -21,10 +21,8 @@ from tsplat.io.cameras import camera_to_json
 @pytest.fixture
 def session():
     """The viewer on the demo scene, its first frame shown."""
-    made = Session("--presenter", "halfblock", "--max-splats", "1000")
-    made.pump(lambda: made.frames() >= 1 and CELL in made.output)
-    yield made
-    made.close()
+    with showing(Session) as made:
+        yield made
 
 
 def test_keys_move_the_camera_and_q_gives_the_terminal_back(session):

@@ -16,7 +16,7 @@ from tsplat.core.types import Scene
 from tsplat.core.workspace import Workspace
 from tsplat.plan import make_plan
 from tsplat.plugins import plugins
-from tsplat.presenters.base import Presenter, Terminal, encoded, sampling
+from tsplat.presenters.base import Presenter, Terminal, encoded, proportions, sampling
 from tsplat.presenters.enlarge import averaged
 from tsplat.terminal import choose_presenter, parse_answers
 from tsplat.terminal.answers import wanted_samples
@@ -138,7 +138,7 @@ def _camera(
     arguments: argparse.Namespace, scene: Scene, size: tuple[int, int], pixel: tuple[float, float]
 ) -> Camera:
     """The camera for a picture of ``size`` px, each as wide and high on screen as ``pixel``."""
-    width, height = (max(1, round(n * unit)) for n, unit in zip(size, pixel, strict=True))
+    width, height = proportions(size, pixel)
     seen = _pose(arguments, scene, None if arguments.camera else (width, height))
     return seen.reframed(width, height).resized(*size)
 

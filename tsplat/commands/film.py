@@ -27,7 +27,7 @@ from tsplat.io.progress import progress_bar
 from tsplat.paths import TURN_SECONDS, load_path, turned
 from tsplat.plan import Plan, make_plan
 from tsplat.plugins import plugins
-from tsplat.presenters.base import Terminal, sampling
+from tsplat.presenters.base import Terminal, proportions, sampling
 from tsplat.presenters.enlarge import averaged
 
 RATE = 25.0
@@ -161,7 +161,7 @@ def _in_cells(way: Way, glyphs: Glyphs) -> Way:
     samples = sampling(glyphs.presenter, glyphs.terminal)
     size = glyphs.presenter.size(glyphs.terminal)
     pixel = glyphs.presenter.pixel(glyphs.terminal)
-    width, height = (max(1, round(n * unit)) for n, unit in zip(size, pixel, strict=True))
+    width, height = proportions(size, pixel)
     return lambda index: way(index).reframed(width, height).resized(*(n * samples for n in size))
 
 

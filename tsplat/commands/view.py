@@ -202,7 +202,7 @@ def render_command(
     words = ["tsplat", "render", *scene_words(arguments, view.look), "-o", picture]
     words += ["--size", f"{camera.width}x{camera.height}"]
     if pose is not None:
-        words += ["--camera", f"{pose}#0" if "#" in pose else pose]
+        words += ["--camera", _camera_spec(pose)]
     else:
         for name, vector in (
             ("eye", camera.centre), ("target", view.orbit.target), ("up", view.orbit.up),
@@ -229,6 +229,11 @@ def _escaped(byte: int) -> str:
     return chr(byte) if plain or chr(byte) in "/._- " else f"\\x{byte:02x}"
 
 
+def _camera_spec(file: str) -> str:
+    """For ``--camera``: the first camera of ``file``, whatever that is called."""
+    return f"{file}#0" if "#" in file else file
+
+
 def _numbers(values: Iterable[float]) -> str:
     return ",".join(repr(float(value)) for value in values)
 
@@ -243,8 +248,7 @@ def check_command(
     words = ["tsplat", "check"]
     if arguments.scene is not None:
         words.append(str(Path(arguments.scene).absolute()))
-    spec = f"{pose}#0" if "#" in str(pose) else str(pose)
-    words += ["--camera", spec, "--size", f"{camera.width}x{camera.height}"]
+    words += ["--camera", _camera_spec(str(pose)), "--size", f"{camera.width}x{camera.height}"]
     for name in ("max_splats", "threads"):
         if getattr(arguments, name) is not None:
             words += [f"--{name.replace('_', '-')}", str(getattr(arguments, name))]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import TYPE_CHECKING
@@ -62,10 +63,15 @@ class Terminal:
     had. The one thing here that is no plain fact: presenters without it send all bytes."""
 
     @property
+    def picture_rows(self) -> int:
+        """Rows that a picture may have: all but the last."""
+        return max(1, self.rows - 1)
+
+    @property
     def pixels(self) -> tuple[int, int]:
-        """Width and height in px of the area a picture may fill: all rows but the last."""
-        rows = max(1, self.rows - 1)
-        return max(1, int(self.columns * self.cell_width)), max(1, int(rows * self.cell_height))
+        """Width and height in px of the area a picture may fill."""
+        width, height = self.columns * self.cell_width, self.picture_rows * self.cell_height
+        return max(1, int(width)), max(1, int(height))
 
 
 def _nothing(terminal: Terminal) -> bytes:
@@ -114,6 +120,12 @@ class Presenter:
     rest: Callable[[Frame, Terminal], bytes] | None = None
     # encode for a frame of fewer px, shown over the same area; None: the viewer repeats pixels
     fill: Callable[[Frame, Terminal, Frame | None], bytes] | None = None
+
+
+def proportions(size: tuple[int, int], pixel: tuple[float, float]) -> tuple[int, int]:
+    """A picture of ``size`` px, each ``pixel`` screen px wide and high, in screen px."""
+    width, height = (max(1, round(n * unit)) for n, unit in zip(size, pixel, strict=True))
+    return width, height
 
 
 def sampling(presenter: Presenter, terminal: Terminal) -> int:
@@ -184,11 +196,18 @@ def encoded(
     Raises:
         PluginError: the presenter failed.
     """
-    try:
+    with failures_named(presenter):
         for stays in (presenter.still, presenter.rest):
             if previous is None and stays is not None:
                 return stays(frame, terminal)
         return presenter.encode(frame, terminal, previous)
+
+
+@contextmanager
+def failures_named(presenter: Presenter) -> Iterator[None]:
+    """Whatever ``presenter``, which may be a plugin's, raises meanwhile is a PluginError."""
+    try:
+        yield
     except Exception as error:
         raise PluginError(
             f"presenter {presenter.name!r} failed: {type(error).__name__}: {printable(error)}; "

@@ -133,7 +133,7 @@ def room(terminal: Terminal, wide: int, high: int) -> tuple[int, int]:
     """Px (width, height) of all rows but the last, with ``wide`` x ``high`` px a cell."""
     return (
         wide * min(max(1, terminal.columns), LIMIT),
-        high * min(max(1, terminal.rows - 1), LIMIT),
+        high * min(terminal.picture_rows, LIMIT),
     )
 
 

@@ -93,7 +93,7 @@ def _scaled(file: bytes, terminal: Terminal) -> bytes:
     if terminal.cell_told:
         width, height = (b"%dpx" % n for n in terminal.pixels)
     else:
-        width, height = b"%d" % terminal.columns, b"%d" % max(1, terminal.rows - 1)
+        width, height = b"%d" % terminal.columns, b"%d" % terminal.picture_rows
     return _sequence(file, width, height, b";preserveAspectRatio=" + keep)
 
 

@@ -48,7 +48,7 @@ def fill(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
 
 def _area(terminal: Terminal) -> tuple[int, int]:
     """All columns, and all rows but the last."""
-    return terminal.columns, max(1, terminal.rows - 1)
+    return terminal.columns, terminal.picture_rows
 
 
 def _hint(terminal: Terminal) -> bytes:
@@ -89,7 +89,7 @@ def _cells(frame: Frame, terminal: Terminal) -> tuple[int, int]:
     """Columns and rows that hold ``frame``. The terminal fits it in, its shape kept."""
     return (
         min(ceil(frame.width / terminal.cell_width), terminal.columns, len(MARKS)),
-        min(ceil(frame.height / terminal.cell_height), max(1, terminal.rows - 1), len(MARKS)),
+        min(ceil(frame.height / terminal.cell_height), terminal.picture_rows, len(MARKS)),
     )
 
 

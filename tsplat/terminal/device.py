@@ -35,6 +35,8 @@ REMOTE_SECONDS = 1.5  # for the first answer over a network
 ANSWERING_SECONDS = 2.0  # for the last answer, once there is a first
 ENTER_ALTERNATE = b"\x1b[?1049h"
 LEAVE_ALTERNATE = b"\x1b[?1049l"
+STRING_END = b"\x1b\\"  # ST
+PLAIN = b"\x1b[m"  # SGR 0
 READ_SIZE = 1 << 16
 
 Attributes = list[Any]  # what termios.tcgetattr returns
@@ -245,9 +247,8 @@ def hear(
     """Asks a terminal that is not in use; None, and nothing is written, if it is none.
 
     Takes a round trip as a rule; ``timeout`` s (None: see :func:`patience`) if nothing is answered.
-    Happens on the alternate screen, which
-    is left again: a terminal that prints a question's text takes it away with the screen. The
-    tty's mode is restored.
+    Happens on the alternate screen, which is left again: a terminal that prints a question's text
+    takes it away with the screen. The tty's mode is restored.
 
     Raises:
         OSError: the terminal is gone.

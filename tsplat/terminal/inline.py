@@ -16,7 +16,15 @@ from collections.abc import Iterator, Mapping
 
 from tsplat.presenters.base import Terminal
 from tsplat.terminal.answers import DA1_ANSWER
-from tsplat.terminal.device import ask, can_show, raw_mode, window_size, write_all
+from tsplat.terminal.device import (
+    PLAIN,
+    STRING_END,
+    ask,
+    can_show,
+    raw_mode,
+    window_size,
+    write_all,
+)
 from tsplat.terminal.sharing import Sharing
 
 ASK_SECONDS = 1.0
@@ -26,8 +34,6 @@ SPARE_ROWS = 2
 """Free below a picture: a sixel picture leaves the cursor one row below itself, Konsole's two."""
 
 SAVE_CURSOR, RESTORE_CURSOR = b"\x1b7", b"\x1b8"
-STRING_END = b"\x1b\\"  # ST
-PLAIN = b"\x1b[m"
 ERASE_BELOW = b"\x1b[J"
 NEW_LINE = b"\r\n"
 NUDGE_SECONDS = 0.02

@@ -27,7 +27,13 @@ from tsplat.presenters.base import Terminal
 from tsplat.presenters.placeholders import through_tmux
 from tsplat.terminal import device
 from tsplat.terminal.answers import DA1, DA1_ANSWER, resized, told_size
-from tsplat.terminal.device import ENTER_ALTERNATE, LEAVE_ALTERNATE, READ_SIZE
+from tsplat.terminal.device import (
+    ENTER_ALTERNATE,
+    LEAVE_ALTERNATE,
+    PLAIN,
+    READ_SIZE,
+    STRING_END,
+)
 from tsplat.terminal.events import Decoder, Event
 from tsplat.terminal.link import Flight, Link
 from tsplat.terminal.sharing import Sharing
@@ -44,8 +50,6 @@ PIXELS = b"\x1b[?1016h", b"\x1b[?1016l"  # the mouse in px; after 1006, which it
 MOUSE = b"\x1b[?1002h\x1b[?1006h", b"\x1b[?1006l\x1b[?1002l"  # buttons and drags, told as SGR
 FOCUS = b"\x1b[?1004h", b"\x1b[?1004l"  # unknown to some, harmless to all
 SIZES = b"\x1b[?2048h", b"\x1b[?2048l"  # told in-band, at once and when they change
-STRING_END = b"\x1b\\"  # ST
-PLAIN = b"\x1b[m"
 STATUS_REPORT = b"\x1b[5n"  # DSR, answered CSI 0 n once all before it is done
 
 ESCAPE_SECONDS = 0.05  # a lone ESC older than this is the Escape key

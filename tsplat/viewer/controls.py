@@ -16,7 +16,7 @@ import numpy as np
 from tsplat.core.camera import Camera, Orbit
 from tsplat.edits import Box
 from tsplat.paths import Path
-from tsplat.presenters.base import Terminal
+from tsplat.presenters.base import Terminal, proportions
 from tsplat.terminal import Event
 from tsplat.viewer.look import Look
 from tsplat.views import FOV, clip_planes
@@ -111,7 +111,7 @@ class View:
     help: bool = False
     settings: bool = False  # the panel is open
     quit: bool = False
-    wish: str = ""  # what the viewer is asked to do, see WISHES
+    wish: str = ""  # what the viewer is asked to do, as KEYS have it
     still: Camera | None = None  # a camera of a file, just as it is there, until it is moved
     path: Path | None = None  # the camera is on it, not on the orbit; spinning, too, while it goes
     played: float = 0.0  # s since the path's begin
@@ -124,7 +124,7 @@ class View:
 
     def camera(self, size: tuple[int, int], pixel: tuple[float, float]) -> Camera:
         """The camera for a picture of ``size`` px, each as wide and high on screen as ``pixel``."""
-        width, height = (max(1, round(n * unit)) for n, unit in zip(size, pixel, strict=True))
+        width, height = proportions(size, pixel)
         given = self.still if self.path is None else self.path.camera(self.played)
         if given is not None:
             return given.reframed(width, height).resized(*size)

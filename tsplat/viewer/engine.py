@@ -48,7 +48,7 @@ class Engine:
     @property
     def backends(self) -> str:
         """Those that draw it now."""
-        return "+".join(dict.fromkeys(self._last.plan.backends.values()))
+        return self._last.plan.names
 
     @property
     def prepared_last(self) -> Prepared:
@@ -68,8 +68,7 @@ class Engine:
             last = self._drawn
             if last is None or last.plan is prepared.plan:
                 raise
-            names = "+".join(dict.fromkeys(prepared.plan.backends.values()))
-            why = f"{names} failed: {printable(error) or type(error).__name__}"
+            why = f"{prepared.plan.names} failed: {printable(error) or type(error).__name__}"
             self._last, self._refused = last, (_key(look), why)
             self.workspace = Workspace(last.plan.threads)  # whatever is in the other one
             return self.run(look, camera)

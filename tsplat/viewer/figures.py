@@ -40,7 +40,6 @@ class Shown:
 def status(shown: Shown, panel: bool = False) -> list[str]:
     """Parts of the status line, the most important first; of keys those that an open panel has."""
     rendered, plan = shown.rendered, shown.plan
-    names = "+".join(dict.fromkeys(plan.backends.values()))
     parts = [shown.scene.name]
     if (settings := settings_text(plan.asked)) != "contract":
         parts.append(settings)
@@ -50,7 +49,7 @@ def status(shown: Shown, panel: bool = False) -> list[str]:
     parts += [
         f"{rendered.visible:,}{every}",
         f"{shown.frames:.0f} fps" if shown.frames else "",
-        f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{plan.threads}",
+        f"{rendered.seconds['total'] * 1e3:.1f} ms {_backends(plan)}",
         f"{shown.presenter} {_size(shown)}",
         "arrows set  Tab closes" if panel else "? keys  Tab settings",
         f"{shown.encode * 1e3:.1f} ms {shown.sent / 1e3:.0f} kB",
@@ -115,8 +114,7 @@ def _figures(
 
 
 def _backends(plan: Plan) -> str:
-    names = "+".join(dict.fromkeys(plan.backends.values()))
-    return f"{names} x{plan.threads}"
+    return f"{plan.names} x{plan.threads}"
 
 
 def _size(shown: Shown) -> str:

@@ -6,10 +6,16 @@ import time
 from dataclasses import dataclass, replace
 
 from tsplat.core.camera import Camera
-from tsplat.core.errors import PluginError, printable
 from tsplat.core.types import Frame
 from tsplat.plan import Rendered
-from tsplat.presenters.base import Presenter, Terminal, changed, pixels, sampling
+from tsplat.presenters.base import (
+    Presenter,
+    Terminal,
+    changed,
+    failures_named,
+    pixels,
+    sampling,
+)
 from tsplat.presenters.enlarge import averaged, cropped, enlarged
 from tsplat.viewer.controls import View
 from tsplat.viewer.engine import Engine, Prepared
@@ -101,7 +107,7 @@ def encode(drawn: Drawn, before: Drawn | None) -> Encoded:
         begins = presenter.fill is None and kept is None
         registers = min(terminal.sixel_registers, picture.shades)
         terminal = replace(terminal, sixel_registers=registers)
-    try:
+    with failures_named(presenter):
         if picture.rests and presenter.rest is not None:
             same = (
                 before is not None
@@ -111,9 +117,4 @@ def encode(drawn: Drawn, before: Drawn | None) -> Encoded:
             payload = b"" if same else presenter.rest(drawn.frame, terminal)
         else:
             payload = write(drawn.frame, terminal, before.frame if before else None)
-    except Exception as error:
-        raise PluginError(
-            f"presenter {presenter.name!r} failed: "
-            f"{type(error).__name__}: {printable(error)}; try another with --presenter"
-        ) from error
     return Encoded(payload, time.perf_counter() - begin, begins)

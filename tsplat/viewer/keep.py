@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import threading
 from collections.abc import Callable
@@ -161,5 +162,5 @@ def _words(error: BaseException) -> str:
 
 def plain(view: View) -> bool:
     """Whether an eye, a target and an up direction say where the camera is."""
-    upright = abs(abs(view.orbit.pitch) - 1.5707963267948966) > 1e-6
+    upright = abs(abs(view.orbit.pitch) - math.pi / 2) > 1e-6
     return view.still is None and view.path is None and upright

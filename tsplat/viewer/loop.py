@@ -94,15 +94,20 @@ class Viewer:
             dict(self._around.presenters), screen.terminal, look.presenter
         )
         screen.cleanup = self._presenter.clear(screen.terminal)
-        screen.max_rate = look.max_rate / 8 if look.max_rate else None
         self._layout = layout(screen.terminal, self._view.settings)
         self._terminal = self._layout.picture or screen.terminal
-        fps = min(look.fps, self._presenter.fps(screen.terminal))
         size = self._presenter.size(self._terminal)
-        self._pace = Pace(size, fps, far=screen.far)
+        self._pace = Pace(size, look.fps, far=screen.far)
+        self._limit()
         self._asked = None
         self._sent = deque(None for _ in self._sent)
         self._words.place(self._layout.panel, self._why)
+
+    def _limit(self) -> None:
+        """Holds frames and bytes to what the look and the presenter allow."""
+        screen, look = self._screen, self._view.look
+        screen.max_rate = look.max_rate / 8 if look.max_rate else None
+        self._pace.period = 1 / min(look.fps, self._presenter.fps(screen.terminal))
 
     def run(self) -> None:
         """Until the user quits."""
@@ -196,8 +201,7 @@ class Viewer:
         if view.look.presenter != before.look.presenter or view.settings != before.settings:
             self._redraw_all()
         elif view.look != before.look:
-            self._screen.max_rate = view.look.max_rate / 8 if view.look.max_rate else None
-            self._pace.period = 1 / min(view.look.fps, self._presenter.fps(self._screen.terminal))
+            self._limit()
         if view.moves_from(before):
             self._moved = time.monotonic()
             self._hurry()
@@ -253,18 +257,27 @@ class Viewer:
 
     def _grant(self, wish: str) -> None:
         """What takes more than the view."""
-        verb, _, what = wish.partition(" ")
-        if verb in ("next", "presenter", "camera", "backend"):
-            kind, by = (what, 1) if verb == "next" else (verb, -1)
-            self._next_camera(by) if kind == "camera" else self._next_name(kind, by)
-        elif wish == "everything":
-            self._frame_all()
-        elif wish == "under":
-            self._frame_under()
-        elif wish == "picture":
-            self._keep_picture()
-        elif wish == "record":
-            self._record()
+        match wish:
+            case "next camera":
+                self._next_camera(1)
+            case "camera before":
+                self._next_camera(-1)
+            case "next presenter":
+                self._next_name("presenter", 1)
+            case "presenter before":
+                self._next_name("presenter", -1)
+            case "next backend":
+                self._next_name("backend", 1)
+            case "backend before":
+                self._next_name("backend", -1)
+            case "everything":
+                self._frame_all()
+            case "under":
+                self._frame_under()
+            case "picture":
+                self._keep_picture()
+            case "record":
+                self._record()
 
     def _next_camera(self, by: int) -> None:
         try:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from tsplat.terminal import Event
+from tsplat.terminal.device import PLAIN
 from tsplat.viewer.controls import View
 from tsplat.viewer.layout import Area
 from tsplat.viewer.settings import Facts, Row, sections
-from tsplat.viewer.text import BOLD, PLAIN, REVERSE, cup, padded, width, wrapped
+from tsplat.viewer.text import BOLD, REVERSE, cup, padded, width, wrapped
 
 NAME = 19  # columns of a row's name, where there is room for
 VALUE = 15  # columns of its value at least; else long ones have lines of their own

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from tsplat.core.errors import printable
 from tsplat.presenters.base import Terminal
+from tsplat.terminal.device import PLAIN
 from tsplat.viewer.controls import HELP
 
-PLAIN = b"\x1b[m"
 BOLD = b"\x1b[1m"
 REVERSE = b"\x1b[7m"  # SGR 7: seen in any colours, and in none
 CLEAR_LINE = b"\x1b[K"
@@ -125,7 +125,7 @@ def _narrow(line: str, columns: int) -> list[str]:
 
 def help_page(terminal: Terminal, top: int = 0) -> bytes:
     """The keys, on a cleared screen, from line ``top`` on; as much as fits."""
-    every, room = help_lines(terminal), max(1, terminal.rows - 1)
+    every, room = help_lines(terminal), terminal.picture_rows
     lines = every[top : top + room]
     above = max(0, (room - len(lines)) // 2)
     left = max(0, (terminal.columns - max(map(width, every))) // 2)
@@ -140,4 +140,4 @@ def help_page(terminal: Terminal, top: int = 0) -> bytes:
 
 def help_top(top: int, terminal: Terminal) -> int:
     """``top``, kept to where the page still ends with its last line."""
-    return min(max(top, 0), max(0, len(help_lines(terminal)) - max(1, terminal.rows - 1)))
+    return min(max(top, 0), max(0, len(help_lines(terminal)) - terminal.picture_rows))
