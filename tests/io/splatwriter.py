@@ -126,7 +126,9 @@ def write_ksplat(
         banded = _banded(placed.sh, degree)
         if level == 2:
             low, high = sh_range
-            banded = np.clip(np.floor((np.clip(banded, low, high) - low) / (high - low) * 255), 0, 255)
+            banded = np.clip(
+                np.floor((np.clip(banded, low, high) - low) / (high - low) * 255), 0, 255
+            )
         here["h"] = banded
         words, halves = heads[index].view("<u4"), heads[index].view("<u2")
         words[0], words[1] = len(g), room

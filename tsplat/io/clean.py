@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsplat.core.errors import SceneError
-from tsplat.core.types import F16, F32, F64, I32, Floats, Scene
+from tsplat.core.types import F32, F64, I32, Floats, Scene
 from tsplat.io.half import to_half
 
 if TYPE_CHECKING:
@@ -40,8 +40,6 @@ FLOAT32_MAX = float(np.finfo(np.float32).max)
 SH_MAX = FLOAT32_MAX / 16
 """A coefficient beyond it may make a colour that float32 does not hold: the largest values of the
 sixteen harmonics (half.SH_PEAKS) sum to 8.9. Infinity times 0 would be NaN beside the Gaussian."""
-
-HALF_EXPONENT = np.uint16(0x7C00)
 
 MEAN = "mean not finite"
 QUAT = "quaternion not finite"
@@ -93,12 +91,8 @@ class SceneBuilder:
         opacities: Floats,  # [n]    0..1
         sh: Floats,  # [n, K, 3]
         to: slice | NDArray[np.integer],
-        rest: F16 | None = None,  # [n, K - 1, 3]
     ) -> None:
         """Puts the rows that can be drawn into rows ``to``, n of the builder's capacity.
-
-        ``rest`` is the coefficients behind the first, where float16 holds what the file says
-        exactly; ``sh`` is the first one alone then.
 
         Threads may add at once, each to rows of its own. All rows must be added to before
         ``build``, which closes the gaps that others leave.
@@ -115,8 +109,8 @@ class SceneBuilder:
             dropped: Counter[str] = Counter()
             keep: NDArray[np.bool_] | slice = slice(None)
             gaps: list[NDArray[np.integer]] = []
-            if not _sound(means, lengths, scales, opacities, sh, rest, limit):
-                keep = _judge(means, lengths, scales, opacities, sh, rest, limit, dropped)
+            if not _sound(means, lengths, scales, opacities, sh, limit):
+                keep = _judge(means, lengths, scales, opacities, sh, limit, dropped)
                 rows = np.arange(to.start, to.stop) if isinstance(to, slice) else to
                 to, gaps = rows[keep], [rows[~keep]]
         with np.errstate(under="ignore"):
@@ -124,14 +118,14 @@ class SceneBuilder:
             _put(self._quats, to, units[keep])
             _put(self._scales, to, scales[keep])
             self._opacities[to] = np.clip(opacities[keep], 0, 1)
-            error = self._put_sh(to, sh[keep], None if rest is None else rest[keep])
+            error = self._put_sh(to, sh[keep])
         with self._lock:
             self._count += len(means) - dropped.total()
             self._gaps += gaps
             self.dropped.update(dropped)
             self.sh_error = max(self.sh_error, error)
 
-    def decode(self, decoder: Decoder, rows: NDArray[np.void], to: slice | I32) -> bool:
+    def decode(self, decoder: Decoder, rows: NDArray[np.void] | F32, to: slice | I32) -> bool:
         """Like :meth:`add`, of rows as a file has them.
 
         False if some cannot be drawn: then they all have to be added.
@@ -148,17 +142,14 @@ class SceneBuilder:
             self.sh_error = max(self.sh_error, error)
         return True
 
-    def _put_sh(self, to: slice | NDArray[np.integer], sh: F32, rest: F16 | None) -> float:
-        """The colour error that keeping ``sh`` costs; ``rest`` costs nothing."""
-        error = 0.0
-        if self._half:
-            halves = np.empty(sh.shape, np.float16)
-            error = to_half(np.ascontiguousarray(sh), halves)
-            _put(self._sh, to, halves if rest is None else np.concatenate((halves, rest), 1))
-        elif rest is None:
+    def _put_sh(self, to: slice | NDArray[np.integer], sh: F32) -> float:
+        """The colour error that keeping ``sh`` costs."""
+        if not self._half:
             _put(self._sh, to, sh)
-        else:
-            _put(self._sh, to, np.concatenate((sh, rest), 1, dtype=np.float32))
+            return 0.0
+        halves = np.empty(sh.shape, np.float16)
+        error = to_half(np.ascontiguousarray(sh), halves)
+        _put(self._sh, to, halves)
         return error
 
     def _close_gaps(self, numbers: I32 | None) -> I32 | None:
@@ -230,9 +221,8 @@ def _place(dropped: tuple[str, int]) -> int:
 
 
 def _sound(
-    means: Floats, lengths: F64, scales: F32, opacities: Floats, sh: F32, rest: F16 | None,
-    limit: float,
-) -> bool:  # fmt: skip
+    means: Floats, lengths: F64, scales: F32, opacities: Floats, sh: F32, limit: float
+) -> bool:
     """Whether every row can be drawn, as nearly all can; False may be a false alarm.
 
     A few extremes, in which NaN wins, take a third of the time that judging every row does.
@@ -246,19 +236,12 @@ def _sound(
         and np.abs(opacities - 0.5).max(initial=0) <= 0.5 + OPACITY_SLACK
         and sh.max(initial=0) <= SH_MAX
         and sh.min(initial=0) >= -SH_MAX
-        and (rest is None or not _not_finite(rest).any())
     )
 
 
-def _not_finite(halves: F16) -> NDArray[np.bool_]:
-    """Where all bits of the exponent are set. NumPy's own way is 20 times slower."""
-    at_fault: NDArray[np.bool_] = (halves.view(np.uint16) & HALF_EXPONENT) == HALF_EXPONENT
-    return at_fault
-
-
 def _judge(
-    means: Floats, lengths: F64, scales: F32, opacities: Floats, sh: F32, rest: F16 | None,
-    limit: float, dropped: Counter[str],
+    means: Floats, lengths: F64, scales: F32, opacities: Floats, sh: F32, limit: float,
+    dropped: Counter[str],
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Which rows can be drawn; the others are counted in ``dropped`` by the first reason."""
     faults = {
@@ -271,9 +254,6 @@ def _judge(
         OPACITY_RANGE: np.abs(opacities - 0.5) > 0.5 + OPACITY_SLACK,
         SH: ~(np.abs(sh) <= SH_MAX),
     }
-    if rest is not None:
-        at_fault = _not_finite(rest).reshape(len(rest), -1).any(1)
-        faults[SH] = faults[SH].reshape(len(rest), -1).any(1) | at_fault
     bad = np.zeros(len(means), np.bool_)
     for reason, where in faults.items():
         rows = where.reshape(len(bad), -1).any(1)

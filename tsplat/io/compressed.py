@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.constants import SH_C0
-from tsplat.core.types import F16, F32, F64, I32, Floats, Scene
+from tsplat.core.types import F32, F64, I32, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.clean import SceneBuilder
 from tsplat.io.sweeps import Bytes, scene_of, typical
+from tsplat.io.table import DC, LEVELS, MEAN, OPACITY, QUAT, REST, SCALE, Tables
 
 if TYPE_CHECKING:
     from tsplat.io.plyrows import Element, Header
@@ -38,14 +39,16 @@ SCALE_RANGE = tuple(f"{end}_scale_{axis}" for end in ("min", "max") for axis in 
 COLOR_RANGE = ("min_r", "min_g", "min_b", "max_r", "max_g", "max_b")
 REST_COUNTS = (0, 9, 24, 45)
 
-ELEVEN, TEN = np.uint32(0x7FF), np.uint32(0x3FF)
+Parts = tuple[NDArray[np.integer], NDArray[np.integer], NDArray[np.integer]]
+"""Three numbers of each Gaussian, [n] each."""
 
-QUATS = np.sqrt(2) / 1023
+ELEVEN, TEN, BYTE = np.uint32(0x7FF), np.uint32(0x3FF), np.uint32(0xFF)
+
+QUATS = np.float32(np.sqrt(2) / 1023)
 """From one of a quaternion's smaller numbers to the next; 511.5 of them are zero."""
 
-REST = ((np.arange(256) + 0.5) / 32 - 4).astype(np.float16)
-REST[0], REST[255] = -4, 4
-"""A byte of ``f_rest_*`` as the coefficient, which float16 holds exactly: steps are of 1/32."""
+REST_STEP, REST_LOW, REST_MAX = np.float32(1 / 32), np.float32(1 / 64 - 4), np.float32(4)
+"""A byte of ``f_rest_*`` to the next, what 0 would be if it were not -4, and what 255 is."""
 
 
 def packed(header: Header) -> bool:
@@ -103,10 +106,30 @@ class Place:
         return rows
 
 
-def _range(chunks: NDArray[np.void], names: tuple[str, ...]) -> F64:
-    """[2, C, 3] the lower and the upper ends of the chunks' ranges."""
+class Ranges:
+    """The ranges [C] of three numbers, and how many steps each is divided into."""
+
+    def __init__(self, low: F64, high: F64, steps: tuple[int, int, int]) -> None:
+        self.low, self.high = low, high  # [C, 3]
+        with np.errstate(over="ignore", invalid="ignore"):
+            self._step = (high - low) / np.array(steps)
+
+    def at(self, chunk: NDArray[np.intp], parts: Parts) -> F64:
+        """[n, 3] what is at step ``parts`` of the ranges of chunks [n]."""
+        values = np.empty((len(chunk), 3))
+        for i, part in enumerate(parts):
+            values[:, i] = part
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+            values *= self._step.take(chunk, 0)
+            values += self.low.take(chunk, 0)
+        return values
+
+
+def _ranges(
+    chunks: NDArray[np.void], names: tuple[str, ...], steps: tuple[int, int, int]
+) -> Ranges:
     ends = np.stack([chunks[name] for name in names], 1).astype(np.float64)
-    return np.ascontiguousarray(ends.reshape(-1, 2, 3).transpose(1, 0, 2))
+    return Ranges(ends[:, :3], ends[:, 3:], steps)
 
 
 class Layout:
@@ -114,14 +137,15 @@ class Layout:
 
     def __init__(self, chunks: NDArray[np.void], rest: int) -> None:
         """``chunks`` is the rows of element ``chunk``, ``rest`` how many ``f_rest_*`` there are."""
-        self.coefficients = 1 + rest // 3
-        self._positions = _range(chunks, POSITION_RANGE)
-        self._scales = _range(chunks, SCALE_RANGE)
-        colors = np.zeros((2, len(chunks), 3))
-        colors[1] = 1
+        self._tables = Tables(np.arange(rest).reshape(3, rest // 3).T)
+        self.coefficients = self._tables.coefficients
+        self._positions = _ranges(chunks, POSITION_RANGE, (2047, 1023, 2047))
+        self._logs = _ranges(chunks, SCALE_RANGE, (2047, 1023, 2047))
+        low, high = np.zeros((len(chunks), 3)), np.ones((len(chunks), 3))
         if COLOR_RANGE[0] in (chunks.dtype.names or ()):
-            colors = _range(chunks, COLOR_RANGE)
-        self._colors = (colors - 0.5) / SH_C0
+            ranges = _ranges(chunks, COLOR_RANGE, (255, 255, 255))
+            low, high = ranges.low, ranges.high
+        self._dc = Ranges((low - 0.5) / SH_C0, (high - 0.5) / SH_C0, (255, 255, 255))
         self.wide = self._beyond_float32()
 
     def _beyond_float32(self) -> bool:
@@ -129,14 +153,15 @@ class Layout:
 
         Whether that is coarse for the Gaussians is decided when their sizes are known.
         """
+        low, high = self._positions.low, self._positions.high
         with np.errstate(invalid="ignore"):  # what is not finite is left out
-            far = typical(np.abs(self._positions).max(0).max(1))
-            step = typical(np.abs(self._positions[1] - self._positions[0]).max(1)) / 2047
+            far = typical(np.maximum(np.abs(low), np.abs(high)).max(1))
+            step = typical((high - low).max(1)) / 2047
         return far * 2.0**-24 > step / 2
 
     def means(self, rows: NDArray[np.void]) -> Floats:
         """[n, 3] the positions of ``rows``."""
-        means = _within(self._positions, rows["row"] // CHUNK, _11_10_11(rows["packed_position"]))
+        means = self._positions.at(rows["row"] // CHUNK, _11_10_11(rows["packed_position"]))
         if self.wide:
             return means
         with np.errstate(over="ignore", under="ignore"):
@@ -147,52 +172,37 @@ class Layout:
     ) -> None:
         """Decodes ``rows``. Ranges and exp in float64: rounded once, to float32."""
         chunk = rows["row"] // CHUNK
+        table = self._tables.room(len(rows))
+        means = self.means(rows)
+        color = rows["packed_color"]
+        rest = rows["rest"]
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-            logs = _within(self._scales, chunk, _11_10_11(rows["packed_scale"]))
-            scales = np.exp(logs).astype(np.float32)
-            rgba = np.ascontiguousarray(rows["packed_color"]).astype(">u4").view(np.uint8)
-            rgba = rgba.reshape(-1, 4)
-            dc = _within(self._colors, chunk, rgba[:, :3] / 255).astype(np.float32)
-        opacities = rgba[:, 3] / np.float32(255)
-        rest: F16 | None = None
-        if self.coefficients > 1:
-            shape = (len(rows), 3, self.coefficients - 1)
-            rest = np.ascontiguousarray(REST[rows["rest"].reshape(shape).transpose(0, 2, 1)])
-        builder.add(
-            self.means(rows), _quats(rows["packed_rotation"]), scales, opacities, dc[:, None], to,
-            rest,
-        )  # fmt: skip
+            table[:, MEAN] = means
+            _quats(rows["packed_rotation"], table[:, QUAT])
+            table[:, SCALE] = np.exp(self._logs.at(chunk, _11_10_11(rows["packed_scale"])))
+            table[:, OPACITY] = LEVELS[color & BYTE]
+            table[:, DC] = self._dc.at(chunk, (color >> 24, color >> 16 & BYTE, color >> 8 & BYTE))
+        if rest.shape[1]:
+            np.multiply(rest, REST_STEP, out=table[:, REST])
+            table[:, REST] += REST_LOW
+            table[:, REST][rest == 0] = -REST_MAX
+            table[:, REST][rest == 255] = REST_MAX
+        self._tables.put(builder, to, table, means if self.wide else None)
 
 
-def _11_10_11(numbers: NDArray[np.uint32]) -> F64:
-    """[n, 3] the three parts of ``numbers`` [n] as 0..1."""
-    parts = np.empty((len(numbers), 3))
-    np.divide(numbers >> 21, 2047, out=parts[:, 0])
-    np.divide((numbers >> 11) & TEN, 1023, out=parts[:, 1])
-    np.divide(numbers & ELEVEN, 2047, out=parts[:, 2])
-    return parts
+def _11_10_11(numbers: NDArray[np.uint32]) -> Parts:
+    """The three parts of ``numbers`` [n]."""
+    return numbers >> 21, numbers >> 11 & TEN, numbers & ELEVEN
 
 
-def _within(ends: F64, chunk: NDArray[np.int64], parts: F64) -> F64:
-    """[n, 3] what is at ``parts`` [n, 3] of the ranges ``ends`` [2, C, 3] of rows' chunks [n]."""
-    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        values: F64 = ends[0][chunk] * (1 - parts) + ends[1][chunk] * parts
-    return values
-
-
-def _quats(numbers: NDArray[np.uint32]) -> F32:
-    """[n, 4] w, x, y, z of length 1, or nearly so where the smaller three are too large for it."""
-    n = len(numbers)
-    small = np.empty((n, 3), np.float32)
-    for i, shift in enumerate((20, 10, 0)):
-        small[:, i] = ((numbers >> shift) & TEN) * QUATS - 511.5 * QUATS
-    largest = np.sqrt(np.maximum(0, 1 - np.einsum("ij,ij->i", small, small)))
-    which = (numbers >> 30).astype(np.intp)
-    quats = np.empty((n, 4), np.float32)
+def _quats(numbers: NDArray[np.uint32], quats: F32) -> None:
+    """``quats`` [n, 4] w, x, y, z of length 1, or longer where the smaller three are."""
+    small = [(numbers >> shift & TEN) * QUATS - 511.5 * QUATS for shift in (20, 10, 0)]
+    largest = np.sqrt(np.maximum(0, 1 - sum(part * part for part in small)))
+    which = numbers >> 30
     for j in range(4):  # the smaller ones are in order, left and right of the largest
-        quats[:, j] = np.where(which > j, small[:, min(j, 2)], small[:, max(j - 1, 0)])
-    quats[np.arange(n), which] = largest
-    return quats
+        quats[:, j] = np.where(which > j, small[min(j, 2)], small[max(j - 1, 0)])
+    quats[np.arange(len(numbers)), which] = largest
 
 
 def _check(path: Path, header: Header) -> tuple[Place, Place, Place | None]:

@@ -13,17 +13,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tsplat.core.constants import SH_C0
-from tsplat.core.types import F32, I32, I64, Floats, Scene
+from tsplat.core.types import F32, F64, I32, I64, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.clean import SceneBuilder
 from tsplat.io.sweeps import Bytes, scene_of, typical
+from tsplat.io.table import COLORS, DC, LEVELS, MEAN, OPACITY, QUAT, REST, SCALE, Tables
 
 HEADER = np.dtype(
     {
@@ -48,8 +47,6 @@ SECTION = np.dtype(
 USED = 44
 """Bytes of the header that mean something."""
 
-LEVELS = 3
-
 SECTIONS_MAX = 4096
 """Sections in a file; writers make one a scene or one a step of loading."""
 
@@ -62,15 +59,11 @@ RANGE = 32767
 REST_COUNTS = (0, 9, 24)
 """Harmonics beyond the first of degree 0 to 2."""
 
-OPACITIES = (np.arange(256) / 255).astype(np.float32)
-DC = ((np.arange(256) / 255 - 0.5) / SH_C0).astype(np.float32)
-"""A byte of opacity, and of colour as the coefficient f_dc."""
-
 
 def _places(rest: int) -> NDArray[np.intp]:
-    """[rest] which number of a row's harmonics is red's, green's, blue's first coefficient, ..."""
+    """[rest / 3, 3] which number of a row's harmonics is which coefficient of r, g and b."""
     runs = [np.arange(3 * a, 3 * b).reshape(3, b - a).T for a, b in ((0, 3), (3, 8))]
-    return np.concatenate([run.reshape(-1) for run in runs])[:rest]
+    return np.concatenate(runs)[: rest // 3]
 
 
 @dataclass(frozen=True)
@@ -83,24 +76,23 @@ class Section:
     row: np.dtype[np.void]
     step: float  # world units
     middle: int  # the number of steps that is a bucket's centre
-    bucket_size: int
-    full: int  # buckets that are
-    ends: I64  # [partial]  number of the first Gaussian behind each of the other buckets
+    ends: I64  # [buckets]  number of the first Gaussian behind each
     centers: F32  # [buckets, 3]
 
     def means(self, rows: NDArray[np.void], first: int) -> Floats:
         """[n, 3] of its Gaussians ``first``, first + 1, ..., as they are stored in ``rows``."""
-        if not self.bucket_size:
-            means: F32 = rows["means"]
-            return means
-        numbers = np.arange(first, first + len(rows))
-        buckets = numbers // self.bucket_size
-        if self.full * self.bucket_size < first + len(rows):
-            others = self.full + np.searchsorted(self.ends, numbers, "right")
-            buckets = np.where(buckets < self.full, buckets, others)
+        if not len(self.centers):
+            stored: F32 = rows["means"]
+            return stored
+        last = first + len(rows)
+        low = int(np.searchsorted(self.ends, first, "right"))
+        high = int(np.searchsorted(self.ends, last, "left")) + 1
+        ends = np.minimum(self.ends[low:high], last)
+        counts = ends - np.maximum(np.append(first, ends[:-1]), first)
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-            offsets = (rows["means"] - np.float64(self.middle)) * self.step
-            return offsets + self.centers[buckets]
+            means: F64 = (rows["means"] - np.float64(self.middle)) * self.step
+            means += np.repeat(self.centers[low:high], counts, axis=0)
+        return means
 
 
 def _row(level: int, degree: int) -> np.dtype[np.void]:
@@ -167,7 +159,7 @@ def _beyond_float32(sections: list[Section]) -> bool:
     return any(
         typical(np.abs(section.centers).max(1)) * 2.0**-24 > section.step / 2
         for section in sections
-        if section.bucket_size
+        if len(section.centers)
     )
 
 
@@ -179,9 +171,9 @@ class Layout:
         rest = rows.dtype["rest"].shape[0]
         self.coefficients = 1 + rest // 3
         self.wide = rows.wide
-        self._places = _places(rest)
+        self._tables = Tables(_places(rest))
         low, high = sh_range
-        self._bytes = (low + np.arange(256) / 255 * (high - low)).astype(np.float32)
+        self._low, self._step = np.float32(low), np.float32((high - low) / 255)
 
     def means(self, rows: NDArray[np.void]) -> Floats:
         """[n, 3] the positions of ``rows``."""
@@ -192,23 +184,22 @@ class Layout:
         self, builder: SceneBuilder, to: slice | I32, rows: NDArray[np.void], raw_opacity: bool
     ) -> None:
         """Decodes ``rows``."""
-        n, rest = len(rows), rows["rest"]
-        rgba = rows["rgba"]
-        sh: NDArray[Any] = DC[rgba[:, None, :3]]
-        exact = None
-        if self.coefficients > 1:
+        rgba, rest = rows["rgba"], rows["rest"]
+        table = self._tables.room(len(rows))
+        with np.errstate(over="ignore", invalid="ignore"):
+            table[:, MEAN] = rows["means"]
+            table[:, SCALE], table[:, QUAT] = rows["scales"], rows["quats"]
+            table[:, OPACITY] = LEVELS[rgba[:, 3]]
+            table[:, DC] = COLORS[rgba[:, :3]]
             if rest.dtype == np.uint8:
-                rest = self._bytes[rest]
-                rest[np.arange(rest.shape[1]) >= rows["known"][:, None]] = 0
-            numbers = np.ascontiguousarray(rest[:, self._places]).reshape(n, -1, 3)
-            if numbers.dtype == np.float16:
-                exact = numbers
+                np.multiply(rest, self._step, out=table[:, REST])
+                table[:, REST] += self._low
+                columns = np.arange(rest.shape[1])
+                if rows["known"].min(initial=len(columns)) < len(columns):
+                    table[:, REST][columns >= rows["known"][:, None]] = 0
             else:
-                sh = np.concatenate((sh, numbers), 1)
-        builder.add(
-            rows["means"], rows["quats"].astype(np.float32), rows["scales"].astype(np.float32),
-            OPACITIES[rgba[:, 3]], sh, to, exact,
-        )  # fmt: skip
+                table[:, REST] = rest
+        self._tables.put(builder, to, table, rows["means"] if self.wide else None)
 
 
 def _sections(path: Path, file: Bytes, size: int, header: NDArray[np.void]) -> list[Section]:
@@ -276,21 +267,27 @@ def _section(
                 f"{where}: buckets of {bucket_size} Gaussians and size {block_size:g}, expected "
                 "more than 0 of both; the file is damaged",
             )
-        lengths = np.empty(partial, "<u4")
-        file.fill(lengths, at)
-        ends = full * bucket_size + np.cumsum(lengths, dtype=np.int64)
-        held = int(ends[-1]) if partial else full * bucket_size
-        if full + partial > said["buckets"] or held < count:
+        if full + partial > said["buckets"]:
             refuse(
                 path,
-                f"{where}: {full} full and {partial} other of {said['buckets']} buckets hold "
-                f"{held} Gaussians, expected {count}; the file is damaged",
+                f"{where}: {full} full and {partial} other buckets, expected "
+                f"{said['buckets']}; the file is damaged",
             )
-        centers = np.empty((said["buckets"], 3), "<f4")
+        lengths = np.empty(full + partial, "<u4")
+        lengths[:full] = bucket_size
+        file.fill(lengths[full:], at)
+        ends = np.cumsum(lengths, dtype=np.int64)
+        held = int(ends[-1]) if len(ends) else 0
+        if held < count:
+            refuse(
+                path,
+                f"{where}: buckets for {held} Gaussians, expected {count}; the file is damaged",
+            )
+        centers = np.empty((full + partial, 3), "<f4")
         file.fill(centers, at + 4 * partial)
     middle = said["range"] or RANGE
     step = block_size / 2 / middle
-    section = Section(first, count, data, row, step, middle, bucket_size, full, ends, centers)
+    section = Section(first, count, data, row, step, middle, ends, centers)
     return section, data + room * row.itemsize
 
 
@@ -312,7 +309,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
         header = np.empty((), HEADER)
         file.fill(header, 0)
         level = int(header["level"])
-        if level >= LEVELS:
+        if level > 2:
             refuse(path, f"ksplat header, byte 20: compression level {level}, expected 0, 1 or 2")
         low, high = (
             float(end) or default

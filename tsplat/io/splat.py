@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tsplat.core.constants import SH_C0
 from tsplat.core.types import F32, I32, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.clean import SceneBuilder
 from tsplat.io.sweeps import Bytes, scene_of
+from tsplat.io.table import COLORS, DC, LEVELS, MEAN, OPACITY, QUAT, SCALE, Tables
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
 
@@ -39,12 +39,6 @@ SCALES_RANGE = 1e-12, 1e6
 
 UNIT_RANGE = 0.9, 1.1
 """Lengths; bytes make them wrong by 1/64 at most."""
-
-LEVELS = (np.arange(256) / 255).astype(np.float32)
-"""A byte as 0..1."""
-
-DC = ((np.arange(256) / 255 - 0.5) / SH_C0).astype(np.float32)
-"""A byte of colour as the coefficient f_dc."""
 
 
 class Rows:
@@ -72,6 +66,9 @@ class Layout:
     coefficients = 1
     wide = False  # positions are float32
 
+    def __init__(self) -> None:
+        self._tables = Tables()
+
     def means(self, rows: NDArray[np.void]) -> Floats:
         """[n, 3] the positions of ``rows``."""
         means: F32 = rows["means"]
@@ -82,10 +79,12 @@ class Layout:
     ) -> None:
         """Decodes ``rows``."""
         rgba = rows["rgba"]
-        builder.add(
-            self.means(rows), rows["quats"].astype(np.float32) - 128, rows["scales"],
-            LEVELS[rgba[:, 3]], DC[rgba[:, None, :3]], to,
-        )  # fmt: skip
+        table = self._tables.room(len(rows))
+        table[:, MEAN], table[:, SCALE] = rows["means"], rows["scales"]
+        np.subtract(rows["quats"], np.float32(128), out=table[:, QUAT])
+        table[:, OPACITY] = LEVELS[rgba[:, 3]]
+        table[:, DC] = COLORS[rgba[:, :3]]
+        self._tables.put(builder, to, table)
 
 
 def read(path: Path, options: ReadOptions) -> Scene:
