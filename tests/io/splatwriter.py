@@ -40,7 +40,7 @@ def drawn(n: int, degree: int = 0, seed: int = 0, size: float = 3.0) -> Gaussian
         quats / np.linalg.norm(quats, axis=1)[:, None],
         np.exp(rng.uniform(-9, 1, (n, 3))),
         rng.uniform(0, 1, n),
-        rng.normal(0, 0.5, (n, (degree + 1) ** 2, 3)),
+        rng.normal(0, [[1.0], *[[0.05]] * ((degree + 1) ** 2 - 1)], (n, (degree + 1) ** 2, 3)),
     )
 
 

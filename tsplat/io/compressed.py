@@ -139,6 +139,7 @@ class Layout:
         """``chunks`` is the rows of element ``chunk``, ``rest`` how many ``f_rest_*`` there are."""
         self._tables = Tables(np.arange(rest).reshape(3, rest // 3).T)
         self.coefficients = self._tables.coefficients
+        self.rest = rest
         self._positions = _ranges(chunks, POSITION_RANGE, (2047, 1023, 2047))
         self._logs = _ranges(chunks, SCALE_RANGE, (2047, 1023, 2047))
         low, high = np.zeros((len(chunks), 3)), np.ones((len(chunks), 3))
@@ -281,9 +282,8 @@ def read(path: Path, options: ReadOptions) -> Scene:
     with Bytes(path) as file:
         chunks = chunk.read(file, 0, chunk.count)
         layout = Layout(chunks, 0 if sh is None else sh.columns)
-        colors = "colours by chunk" if COLOR_RANGE[0] in (chunks.dtype.names or ()) else "0..1"
-        rows = Rows(file, vertex, sh)
-        return scene_of(path, rows, layout, options, f"compressed PLY, {colors}")
+        about = f"compressed PLY, {chunk.count} chunks, SH {REST_COUNTS.index(layout.rest)}"
+        return scene_of(path, Rows(file, vertex, sh), layout, options, about)
 
 
 def recognises(start: bytes) -> bool:

@@ -117,6 +117,7 @@ class Rows:
         self._firsts = np.array([section.first for section in sections])
         self.wide = _beyond_float32(sections)
         largest = max((section.row for section in sections), key=lambda row: row.itemsize)
+        self.degree = REST_COUNTS.index(largest["rest"].shape[0])
         self.dtype = np.dtype(
             [
                 ("means", "<f8" if self.wide else "<f4", 3),
@@ -317,7 +318,8 @@ def read(path: Path, options: ReadOptions) -> Scene:
         )
         rows = Rows(file, _sections(path, file, size, header))
         layout = Layout(rows, (low, high))
-        return scene_of(path, rows, layout, options, f"ksplat level {level}")
+        about = f"ksplat level {level}, SH {rows.degree}"
+        return scene_of(path, rows, layout, options, about)
 
 
 def recognises(start: bytes) -> bool:

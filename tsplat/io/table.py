@@ -42,7 +42,7 @@ class Tables:
     def put(
         self, builder: SceneBuilder, to: slice | I32, table: F32, means: Floats | None = None
     ) -> None:
-        """Puts ``table`` into rows ``to`` of ``builder``, with float64 ``means`` [n, 3] if given."""
+        """Puts ``table`` into rows ``to`` of ``builder``; float64 ``means`` [n, 3] go first."""
         if self._decoder and means is None and builder.decode(self._decoder, table, to):
             return
         sh = table[:, self._sh].reshape(len(table), -1, 3)
