@@ -1,7 +1,8 @@
 """Files by other people's tools, against what independent parsers found in them.
 
 Compared: counts, degree, bounds, and three Gaussians per file to 1e-5, which is how many digits
-the manifest keeps: both read the same quantised numbers, so no step of them is allowed for. Skipped where the files are absent; they are no part of this repository.
+the manifest keeps: both read the same quantised numbers, so no step of them is allowed for.
+Skipped where the files are absent; they are no part of this repository.
 """
 
 from __future__ import annotations
