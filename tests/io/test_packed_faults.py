@@ -95,7 +95,8 @@ def test_no_real_file_is_taken_for_another():
     """Of all files there, each is recognised by the reader of its format and by no other."""
     taken = dict.fromkeys(READERS, 0)
     for path in manifest():
-        start = (DATA / path).open("rb").read(4096)
+        with (DATA / path).open("rb") as stream:
+            start = stream.read(4096)
         for suffix, reader in READERS.items():
             if not reader.recognises(start):
                 continue
@@ -223,15 +224,16 @@ def test_rows_of_lists_come_after_or_not_at_all(tmp_path):
     assert "with rows of lists (element face) before its Gaussians" in refusal(path)
 
 
+@pytest.mark.parametrize("bits", [0x7FC00000, 0x7F800001, 0x7F800000])
 @pytest.mark.parametrize("place", ["min_x", "max_scale_z", "max_b"])
-def test_a_range_that_is_no_number_costs_its_chunk(tmp_path, place):
+def test_a_range_that_is_no_number_costs_its_chunk(tmp_path, place, bits):
     """Its 256 Gaussians are dropped and counted; the other chunks stay."""
     path = tmp_path / "a.ply"
     write_compressed(path, drawn(600))
     content = path.read_bytes()
     names = re.findall(rb"property float (\w+)", content)
     at = content.index(b"end_header\n") + 11 + 4 * (names.index(place.encode()) + len(names))
-    path.write_bytes(poked(content, (at, "f", float("nan"))))
+    path.write_bytes(poked(content, (at, "I", bits)))
     scene = load_scene(path)
     assert len(scene) == 344
     assert list(scene.dropped.values()) == [256]

@@ -111,8 +111,7 @@ class Ranges:
 
     def __init__(self, low: F64, high: F64, steps: tuple[int, int, int]) -> None:
         self.low, self.high = low, high  # [C, 3]
-        with np.errstate(over="ignore", invalid="ignore"):
-            self._step = (high - low) / np.array(steps)
+        self._step = (high - low) / np.array(steps)
 
     def at(self, chunk: NDArray[np.intp], parts: Parts) -> F64:
         """[n, 3] what is at step ``parts`` of the ranges of chunks [n]."""
@@ -140,6 +139,11 @@ class Layout:
         self._tables = Tables(np.arange(rest).reshape(3, rest // 3).T)
         self.coefficients = self._tables.coefficients
         self.rest = rest
+        with np.errstate(over="ignore", invalid="ignore"):  # Gaussians of such ranges are dropped
+            self._read_ranges(chunks)
+        self.wide = self._beyond_float32()
+
+    def _read_ranges(self, chunks: NDArray[np.void]) -> None:
         self._positions = _ranges(chunks, POSITION_RANGE, (2047, 1023, 2047))
         self._logs = _ranges(chunks, SCALE_RANGE, (2047, 1023, 2047))
         low, high = np.zeros((len(chunks), 3)), np.ones((len(chunks), 3))
@@ -147,7 +151,6 @@ class Layout:
             ranges = _ranges(chunks, COLOR_RANGE, (255, 255, 255))
             low, high = ranges.low, ranges.high
         self._dc = Ranges((low - 0.5) / SH_C0, (high - 0.5) / SH_C0, (255, 255, 255))
-        self.wide = self._beyond_float32()
 
     def _beyond_float32(self) -> bool:
         """Whether float32 may be coarser than half the steps that a typical chunk can tell apart.
