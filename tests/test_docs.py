@@ -13,6 +13,7 @@ from tests.conftest import ROOT
 from tsplat import Frame, Terminal, hookspecs
 from tsplat.cli import COMMANDS, make_parser
 from tsplat.core.errors import ContractError
+from tsplat.plugins import find_plugins
 from tsplat.testing.conformance import backend_checks
 from tsplat.testing.presenting import BYTES_ALONE, DECODED, DECODINGS, presenter_checks
 
@@ -130,6 +131,13 @@ def test_every_hook_is_documented():
     for name in hooks:
         arguments = ", ".join(inspect.signature(getattr(hookspecs, name)).parameters)
         assert f"`{name}({arguments})`" in text
+
+
+def test_the_page_of_formats_lists_every_reader():
+    """Each built-in reader has a row in its table."""
+    text = (DOCS / "formats.md").read_text()
+    for name in find_plugins().readers:
+        assert f"\n| `{name}` |" in text
 
 
 def test_the_readme_names_every_command():
