@@ -23,16 +23,20 @@ from tsplat.io.base import Reader
 def sog() -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("meta.json", "{}")
+        archive.writestr(zipfile.ZipInfo("meta.json"), "{}")
     return buffer.getvalue()
 
 
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
-        ("a.spz", gzip.compress(b"NGSP" + bytes(40)), "SPZ files are not read yet; convert to PLY"),
+        (
+            "a.spz",
+            gzip.compress(b"NGSP" + bytes(40), mtime=0),
+            "SPZ files are not read yet; convert to PLY",
+        ),
         ("a.spz", b"NGSP" + bytes(40), "SPZ files are not read yet"),
-        ("a.bin", gzip.compress(b"something"), "gzip-compressed file; unpack it"),
+        ("a.bin", gzip.compress(b"something", mtime=0), "gzip-compressed file; unpack it"),
         ("a.sog", sog(), "SOG files are not read yet"),
         ("meta.json", b'{"means": {}}', "SOG files are not read yet"),
         ("a.zip", b"PK\x03\x04" + bytes(30), "zip archive"),
