@@ -239,6 +239,19 @@ def test_a_range_that_is_no_number_costs_its_chunk(tmp_path, place, bits):
     assert list(scene.dropped.values()) == [256]
 
 
+def test_reasons_come_in_one_order(tmp_path, monkeypatch):
+    """Where nothing can be drawn the line is the same, whichever thread met a fault first."""
+    monkeypatch.setattr(sweeps, "CHUNK", 5)
+    monkeypatch.setattr(sweeps, "PIECE", 5)
+    path = tmp_path / "a.ksplat"
+    g = drawn(40)
+    g.quats[:20], g.scales[20:] = np.nan, np.inf
+    for order in (slice(None), slice(None, None, -1)):
+        write_ksplat(path, [(g.take(order), 0)], 0)
+        expected = "(quaternion not finite: 20, scale not finite: 20)"
+        assert expected in refusal(path)
+
+
 @pytest.mark.parametrize("left", [0.3, 0.9, 0.999])
 def test_files_cut_short_while_they_are_read(file, monkeypatch, left):  # noqa: F811
     """Refused in one line, as files that never were whole are; the process lives on."""

@@ -22,7 +22,7 @@ from tsplat.core.types import I32, Floats, Scene
 from tsplat.core.workspace import default_threads
 from tsplat.io import curve
 from tsplat.io.base import SAMPLED, ReadOptions, refuse, sample_rows
-from tsplat.io.clean import CHUNK, THREADS, SceneBuilder
+from tsplat.io.clean import CHUNK, REASONS, THREADS, SceneBuilder
 from tsplat.io.half import SH_ERROR_MAX
 
 PIECE = 4 * CHUNK
@@ -229,6 +229,8 @@ def finished(path: Path, builder: SceneBuilder, numbers: I32 | None) -> Scene:
         SceneError: that is nothing.
     """
     if not len(builder):
-        reasons = ", ".join(f"{r}: {n}" for r, n in builder.dropped.items() if r != SAMPLED)
+        # by place, not by which thread met one first
+        found = [(r, builder.dropped[r]) for r in REASONS if builder.dropped[r]]
+        reasons = ", ".join(f"{r}: {n}" for r, n in found)
         refuse(path, f"none of its Gaussians can be drawn ({reasons})")
     return builder.build(printable(path.name), numbers=numbers)
