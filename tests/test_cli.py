@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -187,6 +188,17 @@ def test_info_describes_the_file(ply):
     assert "in the file's order" in text
     assert "300" in text
     assert "content" in text
+
+
+def test_info_names_the_format(ply, tmp_path):
+    """What reads the file, and what matters of the format."""
+    from tests.io.splatwriter import drawn, write_ksplat
+
+    path = tmp_path / "a.ksplat"
+    write_ksplat(path, [(drawn(50, 2), 2)], 1)
+    for file, name in ((ply, "ply"), (path, "ksplat level 1, SH 2")):
+        assert json.loads(tsplat("info", file, "--json").stdout)["format"] == name
+        assert re.search(rf"format +{name} *\n", tsplat("info", file).stdout.decode())
 
 
 def test_info_says_where_rows_lie(scene):

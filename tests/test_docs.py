@@ -15,6 +15,7 @@ from tsplat import Frame, Terminal, hookspecs
 from tsplat.cli import COMMANDS, VIEW_EXAMPLES, make_parser
 from tsplat.core.errors import ContractError
 from tsplat.core.params import KNOBS
+from tsplat.plugins import OWN, find_plugins
 from tsplat.testing.conformance import backend_checks
 from tsplat.testing.presenting import BYTES_ALONE, DECODED, DECODINGS, presenter_checks
 from tsplat.viewer.controls import HELP, MOTIONS
@@ -137,6 +138,16 @@ def test_every_hook_is_documented():
     for name in hooks:
         arguments = ", ".join(inspect.signature(getattr(hookspecs, name)).parameters)
         assert f"`{name}({arguments})`" in text
+
+
+def test_the_page_of_formats_lists_every_reader():
+    """Each built-in reader has a row in its table."""
+    text = (DOCS / "formats.md").read_text()
+    found = find_plugins()
+    for name in found.readers:
+        if found.distributions["reader", name] != OWN:
+            continue
+        assert f"\n| `{name}` |" in text
 
 
 def test_the_readme_names_every_command():

@@ -36,7 +36,10 @@ BUILT_IN = (
     "tsplat.presenters.halfblock",
     "tsplat.presenters.braille",
     "tsplat.presenters.letters",
+    "tsplat.io.compressed",
     "tsplat.io.ply",
+    "tsplat.io.ksplat",
+    "tsplat.io.splat",
 )
 ENVIRONMENT = "TSPLAT_PLUGINS"
 OWN = "tsplat"

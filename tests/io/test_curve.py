@@ -8,7 +8,7 @@ import pytest
 from tests.io.plywriter import raw_columns, write_ply
 from tests.io.test_ply_variants import as_stored, assert_scene
 from tsplat.core.curve import curve_order
-from tsplat.io import curve, load_scene, ply, scene_from_arrays
+from tsplat.io import curve, load_scene, scene_from_arrays, sweeps
 from tsplat.io.base import sample_rows
 
 N = 500
@@ -18,8 +18,8 @@ N = 500
 def small(monkeypatch):
     """A few hundred rows are many, 20 a chunk and 60 a piece."""
     monkeypatch.setattr(curve, "ROWS_MIN", N // 10)
-    monkeypatch.setattr(ply, "CHUNK", 20)
-    monkeypatch.setattr(ply, "PIECE", 60)
+    monkeypatch.setattr(sweeps, "CHUNK", 20)
+    monkeypatch.setattr(sweeps, "PIECE", 60)
 
 
 def in_file_order(scene):

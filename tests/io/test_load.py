@@ -40,9 +40,8 @@ def sog() -> bytes:
         ("a.sog", sog(), "SOG files are not read yet"),
         ("meta.json", b'{"means": {}}', "SOG files are not read yet"),
         ("a.zip", b"PK\x03\x04" + bytes(30), "zip archive"),
-        ("a.splat", bytes(64), ".splat files are not read yet"),
-        ("a.splat", bytes(63), "unknown format"),
-        ("a.ksplat", bytes(99), "ksplat files are not read yet"),
+        ("a.splat", bytes(64), "unknown format: named .splat, but its first rows of 32 bytes"),
+        ("a.ksplat", bytes(99), "unknown format: named .ksplat, but its first 4096 bytes are no"),
         ("a.glb", b"glTF" + bytes(9), "glTF files are not read yet; export the splats as PLY"),
         ("a.gltf", b'{"asset": {}}', "glTF files are not read yet"),
         ("a.ply", b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
@@ -75,6 +74,20 @@ def with_reader(monkeypatch):
         monkeypatch.setattr(plugins, "plugins", lambda: registry)
 
     return install
+
+
+def test_a_guess_is_asked_last(tmp_path, with_reader):
+    """A plugin's reader that knows its format comes before built-in ones that guess."""
+    from tests.io.splatwriter import drawn, write_splat
+
+    write_splat(tmp_path / "a.bin", drawn(200))
+    assert load_scene(tmp_path / "a.bin").source == ".splat"
+
+    def read(path, options):
+        return scene_from_arrays([[1, 2, 3]], [[1, 0, 0, 0]], [[1, 1, 1]], [1], [[0, 0, 0]])
+
+    with_reader(_reader("mine", lambda start: True, read))
+    assert load_scene(tmp_path / "a.bin").source == "mine"
 
 
 def test_a_plugins_reader_reads_what_it_recognises(tmp_path, with_reader):

@@ -22,7 +22,8 @@ from tests.io.plywriter import BIG, LITTLE, REST, TEXT, names_inria, raw_columns
 from tests.io.test_half import between_halves
 from tsplat.core.curve import curve_keys
 from tsplat.core.errors import KernelError, SceneError
-from tsplat.io import curve, load_scene, native, ply
+from tsplat.io import curve, load_scene, native, ply, sweeps
+from tsplat.io.clean import SceneBuilder
 from tsplat.io.half import SH_ERROR_MAX
 
 ARRAYS = ("means", "quats", "scales", "opacities", "sh")
@@ -49,7 +50,7 @@ def in_numpy(dtype, rest, rows, *, half=False):
     """The arrays that NumPy makes, and the bound."""
     layout = ply.Layout(dtype, rest)
     layout._decoder = None
-    builder = ply.SceneBuilder(len(rows), 1 + rest // 3, half=half)
+    builder = SceneBuilder(len(rows), 1 + rest // 3, half=half)
     layout.add(builder, slice(0, len(rows)), rows, False)
     return [getattr(builder, f"_{name}") for name in ARRAYS], builder.sh_error, builder.dropped
 
@@ -248,8 +249,8 @@ def test_files_load_the_same_without_a_compiler(
     tmp_path, monkeypatch, seed, degree, faults, many, fmt, options
 ):
     """Arrays, numbers, what is dropped and whether float16 will do, of files with faults too."""
-    monkeypatch.setattr(ply, "CHUNK", 7)
-    monkeypatch.setattr(ply, "PIECE", 21)
+    monkeypatch.setattr(sweeps, "CHUNK", 7)
+    monkeypatch.setattr(sweeps, "PIECE", 21)
     monkeypatch.setattr(curve, "ROWS_MIN", 40 if many else 10**6)
     rng = np.random.default_rng(seed)
     columns = raw_columns(100, degree, seed)

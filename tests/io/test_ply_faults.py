@@ -107,14 +107,6 @@ def test_point_cloud_and_mesh_are_named(tmp_path):
     )
 
 
-def test_compressed_ply_is_named(tmp_path):
-    """PlayCanvas' packed properties are recognised, and the way to convert is given."""
-    columns = {f"packed_{n}": np.zeros(2) for n in ("position", "rotation", "scale", "color")}
-    path = write_ply(tmp_path / "a.ply", columns, types=dict.fromkeys(columns, "uint"))
-    assert "compressed PLY (PlayCanvas" in refusal(path)
-    assert "splat-transform" in refusal(path)
-
-
 @pytest.mark.parametrize("name", ["x", "f_dc_1", "opacity", "scale_2", "rot_3"])
 def test_a_missing_property_is_named(tmp_path, name):
     """Exactly the property that is not there is named."""

@@ -27,7 +27,7 @@ from tests.io.plywriter import (
     write_ply,
 )
 from tsplat.core.errors import ParamsError
-from tsplat.io import load_scene, ply
+from tsplat.io import load_scene, sweeps
 from tsplat.io.base import sample_rows
 
 OTHERS = st.lists(st.sampled_from([FACE, EXTRINSIC, NO_ROWS]), unique_by=id, max_size=3)
@@ -111,8 +111,8 @@ def test_alphabetical_order_as_brush_writes_it(tmp_path):
 @pytest.fixture
 def small_pieces(monkeypatch):
     """Chunks of 7 rows and pieces of 21, so that small files are read by many threads in turn."""
-    monkeypatch.setattr(ply, "CHUNK", 7)
-    monkeypatch.setattr(ply, "PIECE", 21)
+    monkeypatch.setattr(sweeps, "CHUNK", 7)
+    monkeypatch.setattr(sweeps, "PIECE", 21)
 
 
 @pytest.mark.parametrize("fmt", FORMATS)

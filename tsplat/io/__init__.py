@@ -65,6 +65,8 @@ def load_scene(
         start = _start(file)
         reader = _reader(file, start)
         scene = reader.load()(file, options)
+        if not scene.source:
+            scene = replace(scene, source=reader.name)
     except TsplatError:
         raise
     except OSError as error:
@@ -98,13 +100,13 @@ def _start(file: Path) -> bytes:
 
 
 def _reader(file: Path, start: bytes) -> Reader:
-    """The first reader that recognises the file; built-in ones come first."""
+    """The first reader that recognises the file; built-in ones come first, guesses last."""
     from tsplat.io.foreign import foreign
     from tsplat.plugins import plugins
 
     readers = plugins().readers
     faults = []
-    for reader in readers.values():
+    for reader in sorted(readers.values(), key=lambda reader: reader.guesses):
         try:
             if reader.recognises(start):
                 return reader

@@ -52,6 +52,7 @@ class Reader:
     summary: str  # one line
     recognises: Callable[[bytes], bool]  # the file's first 4096 bytes
     load: Callable[[], Read]  # heavy imports go in here
+    guesses: bool = False  # the format has no magic number: asked after all that do not guess
 
 
 def sample_rows(total: int, keep: int) -> I64:
@@ -75,3 +76,13 @@ def sampled(scene: Scene, keep: int | None) -> Scene:
 def refuse(path: Path, fault: str) -> NoReturn:
     """Raises the SceneError about ``path``: its name made safe to show, then ``fault``."""
     raise SceneError(f"{printable(path)}: {fault}")
+
+
+def refuse_raw_opacity(path: Path, options: ReadOptions, kind: str) -> None:
+    """Refuses ``raw_opacity`` for a file of a format whose opacities are never logits."""
+    if options.raw_opacity:
+        refuse(
+            path,
+            "raw_opacity (--raw-opacity) is for PLY files, which store logits otherwise; "
+            f"opacities of {kind} are 0..1 always: leave it out",
+        )

@@ -125,7 +125,7 @@ class SceneBuilder:
             self.dropped.update(dropped)
             self.sh_error = max(self.sh_error, error)
 
-    def decode(self, decoder: Decoder, rows: NDArray[np.void], to: slice | I32) -> bool:
+    def decode(self, decoder: Decoder, rows: NDArray[np.void] | F32, to: slice | I32) -> bool:
         """Like :meth:`add`, of rows as a file has them.
 
         False if some cannot be drawn: then they all have to be added.

@@ -1,4 +1,4 @@
-/* One pass over rows, each read once and written once. What ply.py, clean.py and half.py do with
+/* One pass over rows, each read once and written once. What ply.py, table.py, clean.py and half.py do with
  * NumPy, operation by operation, so that the bits are the same; the tests compare. */
 #include "decode.h"
 
@@ -112,8 +112,9 @@ INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error
         for (int k = 0; k < 3; k++) {
             mean[k] = number(row, offsets[k]);
             sound &= fabsf(mean[k]) <= FLT_MAX;
-            scale[k] = (float)exp(number(row, offsets[7 + k]));
-            sound &= scale[k] <= FLT_MAX;
+            scale[k] = number(row, offsets[7 + k]);
+            if (!in->linear) scale[k] = (float)exp(scale[k]);
+            sound &= scale[k] >= 0 && scale[k] <= FLT_MAX;
         }
         for (int k = 0; k < 4; k++) {
             wide[k] = number(row, offsets[3 + k]);
@@ -122,8 +123,9 @@ INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error
         double length = sqrt(sum);
         sound &= length > 0 && length < INFINITY;
         for (int k = 0; k < 4; k++) quat[k] = (float)(wide[k] / length);
-        double opacity = 1 / (1 + exp(-(double)number(row, offsets[10])));
-        sound &= opacity >= 0;
+        double opacity = number(row, offsets[10]);
+        if (!in->linear) opacity = 1 / (1 + exp(-opacity));
+        sound &= opacity >= 0 && opacity <= 1;
 
         int32_t largest = 0;
         for (int k = 0; k < MOST; k++) {

@@ -1,4 +1,4 @@
-/* Rows of a PLY of Gaussians -> a scene's arrays, read by the compiler and by cffi alike (which
+/* Rows of Gaussians -> a scene's arrays, read by the compiler and by cffi alike (which
  * skips # lines). The caller owns every buffer; nothing is allocated, kept or shared, so threads may
  * call at once. N rows, C capacity of the arrays, K coefficients. */
 #ifndef TSPLAT_DECODE_H
@@ -17,6 +17,7 @@ typedef struct {
     const int32_t *offsets;   /* [TSPLAT_SHAPE + 3 K] bytes to little-endian floats of a row: mean 3,
                                  quaternion 4, log scale 3, logit; coefficient 0 of each channel, ... */
     int32_t coefficients;     /* K: 1, 4, 9 or 16 */
+    int32_t linear;           /* 1: the scales are no logarithms, the opacity is no logit */
     int32_t plain;            /* 1: the instructions that every CPU of its kind has; same results */
 } tsplat_rows;
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 import zlib
 from pathlib import Path
 
-SPLAT_ROW = 32
-"""Bytes of a Gaussian in antimatter15's .splat."""
+NAMED = {
+    ".splat": "its first rows of 32 bytes are no Gaussians",
+    ".ksplat": "its first 4096 bytes are no header of version 0.1",
+}
+"""Why a file with the name of a format that is read has not been taken for one."""
 
 
 def foreign(file: Path, start: bytes) -> str:
-    """What ``file`` looks like by its first bytes, or by suffix where a format has no magic."""
+    """What ``file`` looks like by its first bytes, or what its suffix promises in vain."""
     suffix = file.suffix.lower()
     for known, kind in (
         (_is_spz(start), "SPZ"),
         (start.startswith(b"PK\x03\x04") and _is_sog(file, start), "SOG"),
         (file.name == "meta.json" and b'"means"' in start, "SOG"),
-        (suffix == ".ksplat", "ksplat"),
-        (suffix == ".splat" and file.stat().st_size % SPLAT_ROW == 0, ".splat"),
     ):
         if known:
             return (
@@ -34,6 +35,8 @@ def foreign(file: Path, start: bytes) -> str:
     ):
         if start.lstrip().startswith(magic):
             return f"not a scene but a {kind}"
+    if suffix in NAMED:
+        return f"unknown format: named {suffix}, but {NAMED[suffix]}"
     return "unknown format"
 
 

@@ -34,16 +34,20 @@ def pointer(array: NDArray[Any] | None, ctype: str) -> Any:
 class Decoder:
     """Decodes rows of one type. May be called by several threads at once."""
 
-    def __init__(self, offsets: I32, stride: int) -> None:
-        """``offsets`` [11 + 3 K] as tsplat_rows in decode.h has them, ``stride`` bytes of a row."""
+    def __init__(self, offsets: I32, stride: int, *, linear: bool = False) -> None:
+        """``offsets`` [11 + 3 K] as tsplat_rows in decode.h has them, ``stride`` bytes of a row.
+
+        ``linear``: scales are no logarithms, and opacities no logits.
+        """
         self._offsets = offsets
         self._stride = stride
+        self._linear = linear
         self._coefficients = (len(offsets) - lib.TSPLAT_SHAPE) // 3
         self._peaks = np.repeat(np.array(SH_PEAKS[: self._coefficients], np.float32), 3)
 
     def __call__(
         self,
-        rows: NDArray[np.void],
+        rows: NDArray[Any],
         means: F32,
         quats: F32,
         scales: F32,
@@ -65,7 +69,7 @@ class Decoder:
             {
                 "rows": pointer(rows, "uint8_t"), "count": len(rows), "stride": self._stride,
                 "offsets": pointer(self._offsets, "int32_t"),
-                "coefficients": self._coefficients, "plain": plain,
+                "coefficients": self._coefficients, "linear": self._linear, "plain": plain,
             },
         )  # fmt: skip
         first, places = (to.start, None) if isinstance(to, slice) else (0, to)
@@ -110,3 +114,13 @@ def decoder(dtype: np.dtype[np.void], names: tuple[str, ...]) -> Decoder | None:
     if any(field[0] != FLOAT for field in fields):
         return None
     return Decoder(np.array([field[1] for field in fields], np.int32), dtype.itemsize)
+
+
+def table_decoder(columns: NDArray[np.integer]) -> Decoder | None:
+    """What decodes tables of float32 with linear scales and opacities, as table.py has them.
+
+    ``columns`` is in the order of decode.h. None if there is nothing.
+    """
+    if lib is None or sys.byteorder != "little":
+        return None
+    return Decoder(4 * columns.astype(np.int32), 4 * len(columns), linear=True)

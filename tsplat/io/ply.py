@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,15 +19,14 @@ from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
 from tsplat.core.types import F64, I32, Floats, Scene
-from tsplat.core.workspace import default_threads
 from tsplat.hookspecs import hookimpl
-from tsplat.io import curve, native
-from tsplat.io.base import SAMPLED, Read, Reader, ReadOptions, refuse, sample_rows
-from tsplat.io.clean import CHUNK, OPACITY_RANGE, THREADS, SceneBuilder
-from tsplat.io.half import SH_ERROR_MAX
+from tsplat.io import native
+from tsplat.io.base import Read, Reader, ReadOptions, refuse
+from tsplat.io.clean import OPACITY_RANGE, SceneBuilder
+from tsplat.io.sweeps import Sweeps, decode, finished
 
 if TYPE_CHECKING:
-    from tsplat.io.plyrows import Element, Header, Rows
+    from tsplat.io.plyrows import Element, Header
 
 MEANS = ("x", "y", "z")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
@@ -44,9 +41,6 @@ REST_COUNTS = (0, 9, 24, 45)
 
 Columns = Callable[[NDArray[np.void]], NDArray[np.generic]]
 """Rows -> [n, k], some of their properties."""
-
-PIECE = 4 * CHUNK
-"""Rows that a thread decodes before it takes the next."""
 
 
 def rest_count(properties: tuple[str, ...]) -> int | str:
@@ -167,12 +161,6 @@ def check(path: Path, header: Header) -> Element:
     if vertex is None:
         found = ", ".join(e.name for e in header.elements[:8]) or "none"
         refuse(path, f"PLY file without an element vertex; its elements: {found}")
-    if any(p.startswith("packed_") for p in vertex.properties):
-        refuse(
-            path,
-            "compressed PLY (PlayCanvas, packed_* properties), which is not read yet; convert "
-            "it with: splat-transform in.compressed.ply out.ply",
-        )
     if not set(TELLING) & set(vertex.properties):
         face = next((e for e in header.elements if e.name in ("face", "tristrips")), None)
         kind = f"mesh (element {face.name} {face.count})" if face else "point cloud"
@@ -198,9 +186,11 @@ def check(path: Path, header: Header) -> Element:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """See :class:`tsplat.io.base.Read`."""
-    from tsplat.io import plyrows
+    from tsplat.io import compressed, plyrows
 
     header = plyrows.read_header(path)
+    if compressed.packed(header):  # farther down than the bytes by which a reader is chosen
+        return compressed.read(path, options)
     vertex = check(path, header)
     rest = rest_count(vertex.properties)
     if isinstance(rest, str):
@@ -214,10 +204,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
             f"{builder.dropped[OPACITY_RANGE]} opacities lie outside 0..1, so they are logits; "
             "read the file without raw_opacity (--raw-opacity)",
         )
-    if not len(builder):
-        reasons = ", ".join(f"{r}: {n}" for r, n in builder.dropped.items() if r != SAMPLED)
-        refuse(path, f"none of its Gaussians can be drawn ({reasons})")
-    return builder.build(printable(path.name), numbers=numbers)
+    return finished(path, builder, numbers)
 
 
 def _load() -> Read:
@@ -228,111 +215,6 @@ def _load() -> Read:
 
 def _nothing(done: int, total: int) -> None:
     pass
-
-
-class Sweeps:
-    """Goes through all rows, or an even sample of ``options.max_splats``, as often as needed."""
-
-    def __init__(
-        self, rows: Rows, options: ReadOptions, progress: Callable[[int, int], None]
-    ) -> None:
-        self._rows = rows
-        self._progress = progress
-        total = len(rows)
-        self.count = min(options.max_splats or total, total)
-        self.left_out = total - self.count
-        self._picked = sample_rows(total, self.count) if self.left_out else None
-
-    def _place(self, row: int) -> int:
-        """Where ``row`` of the file, or the first one behind it that is picked, goes."""
-        return row if self._picked is None else int(np.searchsorted(self._picked, row))
-
-    def sweep(
-        self, work: Callable[[slice, NDArray[np.void]], bool], before: int, goal: int
-    ) -> None:
-        """Calls ``work`` in threads with a slice of 0..count and its rows, until one says False.
-
-        Progress goes from ``before`` to ``before + count`` of ``goal``.
-        """
-        rows, total = self._rows, len(self._rows)
-        more = True
-        workers = min(default_threads(), THREADS)
-        # Made here: what a thread of a pool allocates for itself stays the process's, by and large.
-        rooms: SimpleQueue[NDArray[np.void]] = SimpleQueue()
-        for _ in range(workers):
-            rooms.put(np.empty(min(CHUNK, total), rows.dtype))
-
-        def piece(first: int) -> int:
-            """Works on PIECE rows; returns where the rows behind them go."""
-            nonlocal more
-            end = min(first + PIECE, total)
-            room = rooms.get()
-            try:
-                for start in range(first, end, CHUNK):
-                    if not more:
-                        break
-                    stop = min(start + CHUNK, end)
-                    part = slice(self._place(start), self._place(stop))
-                    chunk = rows.read(start, stop, room)
-                    if self._picked is not None:
-                        chunk = chunk[self._picked[part] - start]
-                    if not work(part, chunk):
-                        more = False
-            finally:
-                rooms.put(room)
-            return self._place(end)
-
-        self._progress(before, goal)
-        with ThreadPoolExecutor(workers, "tsplat-ply") as pool:
-            for done in pool.map(piece, range(0, total, PIECE)):
-                self._progress(before + done, goal)
-
-
-def decode(sweeps: Sweeps, layout: Layout, options: ReadOptions) -> tuple[SceneBuilder, I32 | None]:
-    """All rows, and which of them stands where if they are many: along a space-filling curve.
-
-    Places are found in a sweep of its own that reads nothing but positions: reading a file twice
-    takes less time than moving rows, and less memory. SH is in float16 if that will do, which is
-    known at the end. If not, all is read again: keeping float32 as well until then would take more
-    memory than the file.
-    """
-    numbers = places = None
-    before, goal = 0, sweeps.count
-    if sweeps.count >= curve.ROWS_MIN:
-        before, goal = goal, 2 * goal
-        numbers = _numbers(sweeps, layout, goal)
-        places = curve.inverse(numbers)
-
-    def decoded(half: bool) -> SceneBuilder:
-        builder = SceneBuilder(sweeps.count, layout.coefficients, wide=layout.wide, half=half)
-        if sweeps.left_out:
-            builder.dropped[SAMPLED] = sweeps.left_out
-
-        def add(part: slice, rows: NDArray[np.void]) -> bool:
-            to = part if places is None else places[part]
-            layout.add(builder, to, rows, options.raw_opacity)
-            return builder.sh_error < SH_ERROR_MAX
-
-        sweeps.sweep(add, before, goal)
-        return builder
-
-    builder = None if options.sh_float32 else decoded(half=True)
-    if builder is None or builder.sh_error >= SH_ERROR_MAX:
-        del builder  # its memory is needed
-        builder = decoded(half=False)
-    return builder, numbers
-
-
-def _numbers(sweeps: Sweeps, layout: Layout, goal: int) -> I32:
-    """Rows along the curve."""
-    means = np.empty((sweeps.count, 3), np.float64 if layout.wide else np.float32)
-
-    def keep(part: slice, rows: NDArray[np.void]) -> bool:
-        means[part] = layout.means(rows)
-        return True
-
-    sweeps.sweep(keep, 0, goal)
-    return curve.rows_along_curve(means)
 
 
 def recognises(start: bytes) -> bool:

@@ -12,7 +12,6 @@ Format: G. Turk, "The PLY Polygon File Format", 1994.
 from __future__ import annotations
 
 import io
-import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from plyfile import PlyData, PlyListProperty, PlyParseError
 
 from tsplat.core.errors import printable
 from tsplat.io.base import refuse
+from tsplat.io.sweeps import Bytes
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
@@ -51,6 +51,7 @@ class Element:
     properties: tuple[str, ...]
     lists: tuple[str, ...]  # the properties that are lists
     row: int  # bytes of a binary row, at least
+    types: tuple[str, ...]  # of the properties, as NumPy names them; of a list, what it counts in
 
 
 @dataclass(frozen=True)
@@ -142,6 +143,7 @@ def _element(element: Any, count: int, order: str) -> Element:
         tuple(p.name for p in element.properties),
         tuple(p.name for p in lists),
         sum(np.dtype(s).itemsize for s in sizes),
+        tuple(str(np.dtype(s).str) for s in sizes),
     )
 
 
@@ -201,19 +203,17 @@ def _without_elements_after_vertex(header: Header) -> bytes:
 class Rows:
     """The N rows of element ``vertex``, to be read piece by piece.
 
-    Binary rows are read, not mapped: pages of a map would count as this process's memory, and a
-    file that is cut short meanwhile would end it (SIGBUS). Threads may read at once.
+    Threads may read at once.
     """
 
     def __init__(self, path: Path, table: NDArray[np.void]) -> None:
         """``table`` is all rows; if it is a map of the file, no more than its whereabouts."""
-        self._path = path
         self._count = len(table)
         self.dtype = table.dtype
         self._table = self._file = None
         if isinstance(table, np.memmap):
             self._offset = table.offset
-            self._file = path.open("rb", buffering=0)
+            self._file = Bytes(path)
         else:
             self._table = table
 
@@ -223,31 +223,17 @@ class Rows:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *exception: object) -> None:
         if self._file is not None:
-            self._file.close()
+            self._file.__exit__(*exception)
 
     def read(self, start: int, stop: int, room: NDArray[np.void]) -> NDArray[np.void]:
-        """Rows ``start`` to ``stop``; ``room`` holds as many, and is where they may be put.
-
-        Raises:
-            SceneError: the file has become too short.
-        """
+        """See :class:`tsplat.io.sweeps.FileRows`."""
         if self._file is None:
             assert self._table is not None
             return self._table[start:stop]
         rows = room[: stop - start]
-        left = rows.view(np.uint8).data
-        at = self._offset + start * self.dtype.itemsize
-        while left:
-            got = os.preadv(self._file.fileno(), [left], at)
-            if not got:
-                refuse(
-                    self._path,
-                    f"ended at byte {at} while it was read, expected {len(left)} more; "
-                    "wait until it is written, or copy it again",
-                )
-            left, at = left[got:], at + got
+        self._file.fill(rows, self._offset + start * self.dtype.itemsize)
         return rows
 
 

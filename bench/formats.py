@@ -1,0 +1,118 @@
+"""Files of one scene in several formats: how fast each loads, and how far its picture is off.
+
+    python bench/formats.py scene.ply scene.splat scene.ksplat     # pictures against the first's
+    python bench/formats.py --million                              # a million Gaussians a format
+
+Every load is a process of its own with the file in the page cache, whose CPU time, too, is that of
+``load_scene`` alone; quoted are minima. Peak memory is the largest resident set less what it was
+before the load. PSNR (dB) is of pictures of 640x360 from the default view of the first scene;
+``of what fits`` is that against its Gaussians with no more than a format of that degree can hold,
+whose base colours are within 0..1 unless it is PLY.
+``--million`` writes files as the tests do, positions and colours at random, compressed PLY along a
+curve as its own tools do, and takes no pictures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+LOAD = r"""
+import re, sys, time, tsplat
+import tsplat.plugins, tsplat.io.plyrows
+peak = lambda: int(re.search(r"VmHWM:\s+(\d+)", open("/proc/self/status").read())[1])
+tsplat.plugins.plugins()
+before = peak()
+begin, cpu = time.perf_counter(), time.process_time()
+scene = tsplat.load_scene(sys.argv[1])
+end, used = time.perf_counter(), time.process_time()
+print(end - begin, used - cpu, (peak() - before) * 1024, len(scene), scene.source, sep="\t")
+"""
+HEADINGS = (
+    "file", "format", "Gaussians", "MB", "ms", "CPU ms", "ns each", "MB/s", "peak, MB", "PSNR",
+    "of what fits",
+)  # fmt: skip
+SIZE = 640, 360
+
+
+def measure(path: Path, runs: int) -> list[str]:
+    """The cells of a file's row but the last."""
+    rows = []
+    for _ in range(runs):
+        command = [sys.executable, "-c", LOAD, str(path)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        rows.append(done.stdout.strip().split("\t"))
+    seconds, cpu = (min(float(row[i]) for row in rows) for i in (0, 1))
+    peak = max(float(row[2]) for row in rows)
+    count, source, size = int(rows[0][3]), rows[0][4], path.stat().st_size
+    return [
+        path.name, source, f"{count:,}", f"{size / 1e6:.1f}", f"{seconds * 1e3:.0f}",
+        f"{cpu * 1e3:.0f}", f"{cpu / count * 1e9:.0f}", f"{size / seconds / 1e6:.0f}",
+        f"{peak / 1e6:.0f} ({peak / size:.1f} files)",
+    ]  # fmt: skip
+
+
+def pictures(paths: list[Path]) -> list[str]:
+    """PSNR of each file's picture against the first one's."""
+    import numpy as np
+
+    import tsplat
+    from tsplat.core.constants import SH_C0
+    from tsplat.testing.compare import psnr
+
+    first = tsplat.load_scene(paths[0])
+    camera = tsplat.frame_scene(first, *SIZE)
+    wanted = tsplat.render(first, camera)
+    cells = [" | "]
+    for path in paths[1:]:
+        scene = tsplat.load_scene(path)
+        frame = tsplat.render(scene, camera)
+        sh = first.sh[:, : scene.sh.shape[1]].astype(np.float32)
+        if "PLY" not in scene.source:
+            sh[:, 0] = np.clip(sh[:, 0], -0.5 / SH_C0, 0.5 / SH_C0)
+        fitting = tsplat.render(replace(first, sh=sh), camera)
+        cells.append(f"{psnr(frame, wanted):.1f} | {psnr(frame, fitting):.1f}")
+    return cells
+
+
+def million(folder: Path) -> list[Path]:
+    """A file of each format."""
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    from tests.io.splatwriter import drawn, write_compressed, write_ksplat, write_splat
+    from tsplat.io.curve import rows_along_curve
+
+    for degree in (0, 2, 3):
+        g = drawn(1_000_000, degree)
+        if degree == 0:
+            write_splat(folder / "random.splat", g)
+        for level in (0, 1, 2) if degree == 2 else ():
+            write_ksplat(folder / f"level{level}-sh2.ksplat", [(g, 2)], level)
+        if degree != 2:
+            g = g.take(rows_along_curve(g.means))
+            write_compressed(folder / f"sh{degree}.compressed.ply", g)
+    return sorted(folder.iterdir())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("files", nargs="*", type=Path)
+    parser.add_argument("--million", action="store_true")
+    parser.add_argument("--runs", type=int, default=5)
+    arguments = parser.parse_args()
+    print("| " + " | ".join(HEADINGS) + " |")
+    print("|---|---|" + "--:|" * (len(HEADINGS) - 2))
+    with tempfile.TemporaryDirectory() as folder:
+        paths = million(Path(folder)) if arguments.million else arguments.files
+        shown = [" | "] * len(paths) if arguments.million else pictures(paths)
+        for path, cell in zip(paths, shown, strict=True):
+            print("| " + " | ".join([*measure(path, arguments.runs), cell]) + " |", flush=True)
+    print(f"\n{os.cpu_count()} CPUs")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,52 @@
+"""Numbers of Gaussians, unpacked from whatever a file has them in, -> rows of a SceneBuilder.
+
+A format that packs its numbers unpacks a chunk of them into a table of float32; C reads that like
+the rows of a PLY file, or NumPy where there is no C.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsplat.core.constants import SH_C0
+from tsplat.core.types import F32, I32, Floats
+from tsplat.io import native
+from tsplat.io.clean import SceneBuilder
+
+MEAN, QUAT, SCALE = slice(0, 3), slice(3, 7), slice(7, 10)
+OPACITY = 10
+DC, REST = slice(11, 14), slice(14, None)
+"""Columns of a table. Scales are linear, opacities 0..1; ``REST`` is in the format's own order."""
+
+LEVELS = (np.arange(256) / 255).astype(np.float32)
+COLORS = ((np.arange(256) / 255 - 0.5) / SH_C0).astype(np.float32)
+"""A byte as an opacity, and as the coefficient ``f_dc`` of a colour."""
+
+
+class Tables:
+    """Tables of Gaussians of K coefficients each."""
+
+    def __init__(self, rest: NDArray[np.integer] | None = None) -> None:
+        """``rest`` [K - 1, 3]: which of the columns ``REST`` a coefficient of r, g or b is in."""
+        order = np.empty((0, 3), np.intp) if rest is None else rest
+        self.coefficients = 1 + len(order)
+        self._sh = np.concatenate([np.arange(11, 14), 14 + order.reshape(-1)])
+        self._decoder = None
+        self._decoder = native.table_decoder(np.concatenate([np.arange(11), self._sh]))
+
+    def room(self, count: int) -> F32:
+        """A table [count, 11 + 3 K] to be filled."""
+        return np.empty((count, 11 + 3 * self.coefficients), np.float32)
+
+    def put(
+        self, builder: SceneBuilder, to: slice | I32, table: F32, means: Floats | None = None
+    ) -> None:
+        """Puts ``table`` into rows ``to`` of ``builder``; float64 ``means`` [n, 3] go first."""
+        if self._decoder and means is None and builder.decode(self._decoder, table, to):
+            return
+        sh = table[:, self._sh].reshape(len(table), -1, 3)
+        builder.add(
+            table[:, MEAN] if means is None else means, table[:, QUAT], table[:, SCALE],
+            table[:, OPACITY], sh, to,
+        )  # fmt: skip
