@@ -37,6 +37,9 @@ BUILT_IN = (
     "tsplat.presenters.braille",
     "tsplat.presenters.letters",
     "tsplat.io.ply",
+    "tsplat.io.spz",
+    "tsplat.io.sog",
+    "tsplat.io.gltf",
 )
 ENVIRONMENT = "TSPLAT_PLUGINS"
 OWN = "tsplat"

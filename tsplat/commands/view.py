@@ -77,8 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.verify:
             from tsplat.viewer.verify import Worker
 
-            worker = stack.enter_context(Worker(scene, params(arguments)))
-        wanted, _ = calibrated(arguments, scene, frame_scene(scene, *CALIBRATED), params(arguments))
+            worker = stack.enter_context(Worker(scene, params(arguments, scene)))
+        wanted, _ = calibrated(arguments, scene, frame_scene(scene, *CALIBRATED), params(arguments, scene))
         plan = make_plan(scene, backend=arguments.backend, threads=arguments.threads, params=wanted)
         if arguments.verify:
             from tsplat.viewer.breaches import BreachLog

@@ -59,12 +59,14 @@ def load_scene(
     options = ReadOptions(max_splats, raw_opacity, sh_float32=sh_float32)
     if progress is not None:
         options = replace(options, progress=progress)
-    file = Path(path)
+    file = _scene_file(Path(path))
     shown = printable(file)
     try:
         start = _start(file)
         reader = _reader(file, start)
         scene = reader.load()(file, options)
+        if not scene.source:
+            scene = replace(scene, source=reader.name)
     except TsplatError:
         raise
     except OSError as error:
@@ -77,6 +79,15 @@ def load_scene(
     if len(scene) == 0:
         raise SceneError(f"{shown}: holds no Gaussians")
     return scene
+
+
+def _scene_file(path: Path) -> Path:
+    """``path`` itself; of a folder that is a scene, an unbundled SOG, the file to read first."""
+    inside = path / "meta.json"
+    try:
+        return inside if inside.is_file() else path
+    except OSError:  # a name that is too long
+        return path
 
 
 def _start(file: Path) -> bytes:
