@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     way, count = _way(arguments, scene, rate)
     if glyphs is not None:
         way = _in_cells(way, glyphs)
-    settings, _ = calibrated(arguments, scene, way(0), wanted(arguments))
+    settings, _ = calibrated(arguments, scene, way(0), wanted(arguments, scene))
     plan = make_plan(
         scene, backend=arguments.backend, threads=arguments.threads, params=settings,
         everything=arguments.everything,

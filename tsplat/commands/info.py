@@ -48,6 +48,8 @@ def describe(scene: Scene, plan: Plan) -> dict[str, Any]:
     arrays = (scene.means, scene.quats, scene.scales, scene.opacities, scene.sh, scene.numbers)
     return {
         "name": printable(scene.name),
+        "format": printable(scene.source),
+        "antialias": scene.antialias,
         "gaussians": len(scene),
         "dropped": dict(scene.dropped),
         "sh_degree": scene.sh_degree,
@@ -84,6 +86,7 @@ def _lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
 
     lines = [
         ("scene", facts["name"]),
+        *([("format", facts["format"])] if facts["format"] else []),
         ("Gaussians", f"{facts['gaussians']:,}"),
         *(("left out", f"{n:,}: {reason}") for reason, n in facts["dropped"].items()),
         ("SH degree", str(facts["sh_degree"])),

@@ -51,7 +51,7 @@ LONG = re.compile(rb'"data:[^"\\]{256,}"')
 """Buffers within the JSON: they are taken out before it is parsed."""
 
 SAME_SCALE = 1e-5
-"""How far a node's three scales may be apart and count as the same: float32's rounding, and more."""
+"""How far a node's three scales may be apart and count as the same: float32's rounding and more."""
 
 EXACT = 1e-12
 """Entries of a rotation this near to -1, 0 or 1 are that: rounding of float64."""
@@ -72,7 +72,7 @@ class Accessor:
         if not self.normalized:
             return found
         kind = np.iinfo(self.table.dtype)
-        return np.maximum(found / np.float32(kind.max), np.float32(-1))
+        return np.asarray(np.maximum(found / np.float32(kind.max), -1), np.float32)
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,9 @@ class Splats:
             if start >= last:
                 break
             if isinstance(rows, slice):
-                inside: slice | I64 = slice(max(rows.start - start, 0), min(rows.stop, stop) - start)
+                inside: slice | I64 = slice(
+                    max(rows.start - start, 0), min(rows.stop, stop) - start
+                )
             else:
                 low, high = np.searchsorted(rows, (start, stop))
                 inside = rows[low:high] - start
@@ -482,9 +484,7 @@ def _logarithmic(primitives: list[Primitive]) -> list[Primitive]:
     tables = {id(p.columns[name]): p.columns[name].table for p in primitives}
     if not any(table.dtype.kind != "u" and (table < 0).any() for table in tables.values()):
         return primitives
-    return [
-        Primitive(p.columns, p.harmonics, p.turn, logarithms=True) for p in primitives
-    ]
+    return [Primitive(p.columns, p.harmonics, p.turn, logarithms=True) for p in primitives]
 
 
 def read(path: Path, options: ReadOptions) -> Scene:

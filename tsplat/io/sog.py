@@ -15,7 +15,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -143,7 +142,7 @@ def _size(path: Path, place: str, content: bytes) -> tuple[int, int]:
             return width, height
     if kind in (b"VP8 ", b"VP8X"):
         refuse(path, f"{place}: a lossy WebP, expected a lossless one; its numbers are lost")
-    refuse(path, f"{place}: neither WebP nor PNG (begins with {content[:4]!r})")
+    return refuse(path, f"{place}: neither WebP nor PNG (begins with {content[:4]!r})")
 
 
 def _chunks(content: bytes) -> set[bytes]:
@@ -215,9 +214,7 @@ def _sigmoid(logits: F64) -> F64:
         return 1 / (1 + np.exp(-logits))
 
 
-def _decode(
-    path: Path, meta: Field, fetch: Fetch, measure: Measure, options: ReadOptions
-) -> Scene:
+def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: ReadOptions) -> Scene:
     """The scene that ``meta`` describes."""
     version = meta.maybe("version")
     old = version is None
@@ -241,7 +238,7 @@ def _decode(
     if old:
         logs = [_linear(*span) for span in _spans(scales, 3)]
         *colors, logits = [_linear(*span) for span in _spans(sh0, 4)]
-        opacities = logits if options.raw_opacity else _sigmoid(logits)
+        opacities = (logits if options.raw_opacity else _sigmoid(logits)).astype(np.float32)
     else:
         logs, colors = [_codebook(scales)] * 3, [_codebook(sh0)] * 3
         opacities = ALPHAS
@@ -265,9 +262,7 @@ def _decode(
     with np.errstate(over="ignore", under="ignore"):
         sizes = [np.exp(log).astype(np.float32) for log in logs]
         hues = [color.astype(np.float32) for color in colors]
-        source = Splats(
-            count, positions, sizes, hues, opacities.astype(np.float32), palette, pixels
-        )
+        source = Splats(count, positions, sizes, hues, opacities, palette, pixels)
     smooth = meta.maybe("antialias")
     antialias = smooth.value if smooth is not None and isinstance(smooth.value, bool) else None
     degree = 0 if palette is None else DEGREES[PER_ROW * palette.shape[1]]
@@ -386,6 +381,7 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, place: str, most: i
 
 def _folder(path: Path, options: ReadOptions) -> Scene:
     meta = parse(path, "", _bounded(path))
+
     def fetch(name: Field) -> bytes:
         return name.inside().read_bytes()
 

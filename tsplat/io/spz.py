@@ -187,7 +187,12 @@ class _Unpacked:
     """Reads what a decompressor makes of the file, never more than is asked for."""
 
     def __init__(
-        self, path: Path, content: memoryview, decompressor: Any, faults: tuple[type, ...], what: str
+        self,
+        path: Path,
+        content: memoryview,
+        decompressor: Any,
+        faults: tuple[type[Exception], ...],
+        what: str,
     ) -> None:
         """``decompressor`` is one of zlib's or zstd's, which raises one of ``faults``."""
         self._path = path
@@ -265,16 +270,12 @@ def _zstd() -> tuple[Any, type[Exception]]:
     return zstd.ZstdDecompressor, zstd.ZstdError
 
 
-def _planes_gzip(
-    path: Path, content: bytes, options: ReadOptions
-) -> tuple[Head, list[U8], str]:
+def _planes_gzip(path: Path, content: bytes, options: ReadOptions) -> tuple[Head, list[U8], str]:
     """Versions 1 to 3; also without the gzip around it, which only splat-transform reads."""
     if content.startswith(MAGIC):
         return _planes_bare(path, content)
     what = "its gzip stream"
-    source = _Unpacked(
-        path, memoryview(content), zlib.decompressobj(wbits=31), (zlib.error,), what
-    )
+    source = _Unpacked(path, memoryview(content), zlib.decompressobj(wbits=31), (zlib.error,), what)
     raw = source.read(HEADER.size, "the SPZ header").tobytes()
     if not raw.startswith(MAGIC):
         refuse(path, f"gzip stream that begins with {raw[:4]!r}, not 'NGSP': no SPZ file")
@@ -421,8 +422,9 @@ def read(path: Path, options: ReadOptions) -> Scene:
     del content
     turn = Turn(axes(system))
     about = head.about if system == DEFAULT else f"{head.about}, axes {system}"
-    return gather(path, Splats(head, planes, turn), options, about=about,
-                  antialias=head.antialiased)
+    return gather(
+        path, Splats(head, planes, turn), options, about=about, antialias=head.antialiased
+    )
 
 
 def _load() -> Read:

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tsplat.core.constants import SH_DEGREE_MAX
 from tsplat.core.types import F64, Floats
@@ -46,17 +46,22 @@ def _unit_directions() -> F64:
 
 def _quaternion(matrix: F64) -> F64:
     """[4] w, x, y, z of a rotation matrix: the row of the sum that is largest, normalised."""
-    m = matrix
+    (a, b, c), (d, e, f), (g, h, i) = matrix
     rows = np.array(
         [
-            [1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
-            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]],
-            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]],
+            [1 + a + e + i, h - f, c - g, d - b],
+            [h - f, 1 + a - e - i, b + d, c + g],
+            [c - g, b + d, 1 - a + e - i, f + h],
+            [d - b, c + g, f + h, 1 - a - e + i],
         ]
-    )  # fmt: skip
+    )
     row = rows[np.argmax(np.diagonal(rows))]
     return np.asarray(row / np.linalg.norm(row), np.float64)
+
+
+def _like(values: F64, other: Floats) -> Any:
+    """``values`` in the type of ``other``."""
+    return values.astype(other.dtype)
 
 
 class Turn:
@@ -74,19 +79,19 @@ class Turn:
     def means(self, means: Floats) -> Floats:
         """[n, 3]; float64 where it is shifted or scaled."""
         if self._flips is not None:
-            turned: NDArray[Any] = means * self._flips.astype(means.dtype)
+            turned: Floats = means * _like(self._flips, means)
         else:
             turned = means.astype(np.float64) @ self.matrix.T
-        return turned * self.scale + self.shift if self._moves else turned
+        return np.asarray(turned * self.scale + self.shift) if self._moves else turned
 
     def quats(self, quats: Floats) -> Floats:
         """[n, 4] w, x, y, z of any length."""
         if self._flips is not None:  # M R M has the same covariance as M R
             x, y, z = self._flips
-            return quats * np.array([1, y * z, x * z, x * y], quats.dtype)
+            return np.asarray(quats * _like(np.array([1, y * z, x * z, x * y]), quats))
         a, b, c, d = _quaternion(self.matrix * np.sign(np.linalg.det(self.matrix)))
         left = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
-        return quats.astype(np.float64) @ left.T
+        return np.asarray(quats.astype(np.float64) @ left.T)
 
     def scales(self, scales: Floats) -> Floats:
         """[n, 3] linear."""
@@ -110,5 +115,5 @@ class Turn:
             return sh
         matrix = self._harmonics[:k, :k]
         if self._flips is not None:
-            return sh * np.diagonal(matrix).astype(sh.dtype)[:, None]
-        return np.matmul(matrix.astype(sh.dtype), sh)
+            return np.asarray(sh * _like(np.diagonal(matrix)[:, None], sh))
+        return np.asarray(np.matmul(_like(matrix, sh), sh))
