@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from tsplat.core.errors import printable
-from tsplat.core.types import I32, I64, Floats, Scene
+from tsplat.core.types import F64, I32, I64, Floats, Scene
 from tsplat.core.workspace import default_threads
 from tsplat.io import curve
 from tsplat.io.base import SAMPLED, ReadOptions, refuse, sample_rows
@@ -168,6 +168,14 @@ def _sweep(work: Callable[[slice], bool], count: int, progress: Callable[[int], 
     with ThreadPoolExecutor(min(default_threads(), THREADS), "tsplat-gather") as pool:
         for done in pool.map(piece, range(0, count, CHUNK)):
             progress(done)
+
+
+def left_of_one(parts: F64) -> F64:
+    """[n] the component that makes three others [n, 3] a unit quaternion; 0 if they are too long.
+
+    In float64: of a small one float32 would leave few digits.
+    """
+    return np.sqrt(np.maximum(1 - np.square(parts).sum(1), 0))
 
 
 def no_raw_opacity(path: Path, options: ReadOptions, kind: str) -> None:

@@ -23,7 +23,7 @@ from tsplat.core.types import F32, F64, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse
 from tsplat.io.fields import JSON_MAX, Field, parse
-from tsplat.io.gather import Gaussians, check_count, gather, no_raw_opacity
+from tsplat.io.gather import Gaussians, check_count, gather, left_of_one, no_raw_opacity
 
 META = "meta.json"
 ZIP = b"PK\x03\x04"
@@ -52,7 +52,7 @@ OTHERS = np.array([[j for j in range(4) if j != largest] + [largest] for largest
 """[4, 4] where the three others and the largest stand."""
 
 _BYTES = np.arange(256, dtype=np.float64)
-SMALLEST = ((_BYTES / 255 * 2 - 1) / np.sqrt(2)).astype(np.float32)
+SMALLEST = (_BYTES / 255 * 2 - 1) / np.sqrt(2)
 ALPHAS = (_BYTES / 255).astype(np.float32)
 
 Fetch = Callable[[Field], bytes]
@@ -112,14 +112,12 @@ class Splats:
 
     def _quats(self, rows: slice | I64) -> F32:
         pixels = self._pixels["quats"][rows]
-        parts = np.empty((len(pixels), 4), np.float32)
-        parts[:, :3] = SMALLEST[pixels[:, :3]]
-        rest = 1 - np.square(parts[:, :3]).sum(1)
-        parts[:, 3] = np.sqrt(np.maximum(rest, 0))
+        parts = SMALLEST[pixels[:, :3]]
+        whole = np.concatenate([parts, left_of_one(parts)[:, None]], 1, dtype=np.float32)
         tags = pixels[:, 3]
-        parts[tags < TAG] = 0  # no rotation: the builder drops it
-        quats = np.empty_like(parts)
-        np.put_along_axis(quats, OTHERS[np.maximum(tags, TAG) - TAG], parts, 1)
+        whole[tags < TAG] = 0  # no rotation: the builder drops it
+        quats = np.empty_like(whole)
+        np.put_along_axis(quats, OTHERS[np.maximum(tags, TAG) - TAG], whole, 1)
         return quats
 
 

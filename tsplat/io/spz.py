@@ -26,7 +26,7 @@ from tsplat.core.errors import printable
 from tsplat.core.types import F32, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse
-from tsplat.io.gather import Gaussians, check_count, gather, no_raw_opacity
+from tsplat.io.gather import Gaussians, check_count, gather, left_of_one, no_raw_opacity
 from tsplat.io.turn import Turn, axes
 
 if TYPE_CHECKING:
@@ -49,8 +49,10 @@ COORDINATES = 0xADBE0003
 """SPZ_ADOBE_coordinate_system; its payload is a uint32, which counts SYSTEMS from 1."""
 
 SYSTEMS = tuple(
-    x + (z + y if turned else y + z) for turned in (0, 1) for z in "BF" for y in "DU" for x in "LR"
+    "LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split()
 )
+"""``include/spz/splat-types.h``, CoordinateSystem, from 1 on."""
+
 DEFAULT = "RUB"
 PLANES = ("positions", "alphas", "colors", "scales", "rotations", "sh")
 FRACTION_MAX = 30
@@ -62,10 +64,8 @@ with np.errstate(under="ignore"):
 ALPHAS = (_BYTES / 255).astype(np.float32)
 COLORS = ((_BYTES / 255 - 0.5) / 0.15).astype(np.float32)
 SH = ((_BYTES - 128) / 128).astype(np.float32)
-THIRDS = (_BYTES / 127.5 - 1).astype(np.float32)
-SMALLEST = (
-    np.where(np.arange(1024) & 512, -1.0, 1.0) * (np.arange(1024) & 511) / 511 * np.sqrt(0.5)
-).astype(np.float32)
+THIRDS = _BYTES / 127.5 - 1
+SMALLEST = np.where(np.arange(1024) & 512, -1, 1) * (np.arange(1024) & 511) / 511 * np.sqrt(0.5)
 """Ten bits, a sign and nine of size, of one of the smallest three components of a quaternion."""
 
 PLACES = np.array(
@@ -142,17 +142,14 @@ class Splats:
         raw = np.ascontiguousarray(self._rotations[rows])
         quats = np.empty((len(raw), 4), np.float32)
         if self._head.version < 3:
-            quats[:, 1:] = THIRDS[raw]
-            rest = 1 - np.square(quats[:, 1:]).sum(1)
-            quats[:, 0] = np.sqrt(np.maximum(rest, 0))
+            thirds = THIRDS[raw]
+            quats[:, 1:] = thirds
+            quats[:, 0] = left_of_one(thirds)
             return quats
         words = raw.view("<u4")[:, 0]
-        parts = np.empty_like(quats)
-        for j in range(3):
-            parts[:, j] = SMALLEST[words >> 10 * (2 - j) & 1023]
-        rest = 1 - np.square(parts[:, :3]).sum(1)
-        parts[:, 3] = np.sqrt(np.maximum(rest, 0))
-        np.put_along_axis(quats, PLACES[words >> 30], parts, 1)
+        parts = np.stack([SMALLEST[words >> shift & 1023] for shift in (20, 10, 0)], 1)
+        whole = np.concatenate([parts, left_of_one(parts)[:, None]], 1, dtype=np.float32)
+        np.put_along_axis(quats, PLACES[words >> 30], whole, 1)
         return quats
 
 
