@@ -26,16 +26,17 @@ def scene_or_line(path) -> None:
     """A Scene of finite numbers or a one-line SceneError, and little memory for either."""
     size = path.stat().st_size if path.is_file() else 0
     tracemalloc.start()
+    line, arrays = "", ()
     try:
         scene = load_scene(path, sh_float32=True)
+        arrays = (scene.means, scene.quats, scene.scales, scene.opacities, scene.sh)
     except SceneError as error:
-        assert str(error).isprintable()
-    else:
-        for array in (scene.means, scene.quats, scene.scales, scene.opacities, scene.sh):
-            assert np.isfinite(array).all()
+        line = str(error)
     finally:
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
+    assert line.isprintable()
+    assert all(np.isfinite(array).all() for array in arrays)
     assert peak < 4 * size + (64 << 20), f"{peak} bytes at most for a file of {size}"
 
 

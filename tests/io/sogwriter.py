@@ -25,7 +25,7 @@ def webp(pixels, width, height, kind="WEBP", **options):
 def random_scene(n, degree, version=2, seed=0, kind="WEBP"):
     """meta.json as data, images by name, and pixels by name."""
     rng = np.random.default_rng(seed)
-    width = int(math.ceil(math.sqrt(n)))
+    width = math.ceil(math.sqrt(n))
     height = -(-n // width)
     pixels = {key: rng.integers(0, 256, (width * height, 4)).astype(np.uint8) for key in PLANES}
     pixels["quats"][:, 3] = rng.integers(252, 256, width * height)

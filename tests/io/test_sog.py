@@ -17,7 +17,7 @@ from PIL import Image
 from tests.io.loading import in_file_order, refusal, scene_or_line
 from tests.io.mutate import altered, damaged
 from tests.io.sogwriter import bundle, decoded, random_scene, unbundled, webp
-from tsplat.io import curve, load_scene, sog
+from tsplat.io import curve, load_scene, pixels
 
 quick = settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -204,7 +204,9 @@ def test_an_archive_of_images_without_meta(tmp_path):
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("holiday.webp", b"x")
     (tmp_path / "a.zip").write_bytes(buffer.getvalue())
-    assert "without meta.json, which a SOG has; it holds holiday.webp" in refusal(tmp_path / "a.zip")
+    assert "without meta.json, which a SOG has; it holds holiday.webp" in refusal(
+        tmp_path / "a.zip"
+    )
 
 
 @pytest.mark.parametrize(
@@ -261,7 +263,7 @@ def test_sizes_of_images_are_those_of_pillow():
     for width, height in ((1, 1), (3, 7), (960, 16), (130, 1)):
         for kind, options in (("WEBP", {}), ("PNG", {}), ("WEBP", {"exif": b"Exif\0\0x"})):
             content = image(width, height, kind, **options)
-            assert sog._size(None, "", content) == Image.open(io.BytesIO(content)).size
+            assert pixels.image_size(None, "", content) == Image.open(io.BytesIO(content)).size
 
 
 @settings(quick, max_examples=150)

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
-from urllib.parse import unquote
 
 import numpy as np
 
@@ -109,6 +108,8 @@ class Field:
 
     def inside(self) -> Path:
         """The existing file that the string names: in the folder of the file itself, or below."""
+        from urllib.parse import unquote
+
         name = unquote(self.text())
         parts = name.split("/")
         bad = (

@@ -175,7 +175,7 @@ def left_of_one(parts: F64) -> F64:
 
     In float64: of a small one float32 would leave few digits.
     """
-    return np.sqrt(np.maximum(1 - np.square(parts).sum(1), 0))
+    return np.asarray(np.sqrt(np.maximum(1 - np.square(parts).sum(1), 0)))
 
 
 def no_raw_opacity(path: Path, options: ReadOptions, kind: str) -> None:

@@ -344,12 +344,14 @@ def _matrix(node: Field) -> F64:
 def _turn(place: str, path: Path, matrix: F64) -> Turn:
     """What ``matrix`` and then tsplat's axes do to Gaussians."""
     linear = matrix[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         scale = float(np.sqrt((linear * linear).sum() / 3))
         fine = np.isfinite(matrix).all() and 1e-12 < scale < 1e12
         off = np.abs(linear.T @ linear / scale**2 - np.eye(3)).max() if fine else math.inf
     if not off <= SAME_SCALE:
-        sizes = ", ".join(f"{s:.4g}" for s in np.linalg.norm(np.nan_to_num(linear), axis=0))
+        with np.errstate(over="ignore", under="ignore"):
+            lengths = np.linalg.norm(np.nan_to_num(linear), axis=0)
+        sizes = ", ".join(f"{s:.4g}" for s in lengths)
         refuse(
             path,
             f"{place} stretches its splats by {sizes} along its axes, expected one size for all; "
@@ -398,7 +400,7 @@ def _nodes(file: _File) -> list[tuple[Field, F64]]:
         if number in seen:
             refuse(file.path, f"{node.place} has two parents, or is its own; the file is damaged")
         seen.add(number)
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             matrix = above @ _matrix(node)
         found.append((node, matrix))
         children = node.maybe("children")

@@ -8,12 +8,7 @@ The files lie in a folder or in a zip archive. Axes are those of a PLY file.
 from __future__ import annotations
 
 import re
-import struct
-import zipfile
-import zlib
 from collections.abc import Callable
-from contextlib import ExitStack
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -27,14 +22,6 @@ from tsplat.io.gather import Gaussians, check_count, gather, left_of_one, no_raw
 
 META = "meta.json"
 ZIP = b"PK\x03\x04"
-EOCD = b"PK\x05\x06"
-"""A zip archive's end of its directory: PKWARE APPNOTE.TXT 4.3.16."""
-
-DIRECTORY_MAX = 1 << 16
-"""Bytes of a zip archive's directory; a SOG's eight members take 500."""
-
-STORED_OR_DEFLATED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-ENCRYPTED = 1
 PER_ROW = 64
 """Palette entries in a row of the image of spherical harmonics."""
 
@@ -121,67 +108,6 @@ class Splats:
         return quats
 
 
-def _size(path: Path, place: str, content: bytes) -> tuple[int, int]:
-    """Width and height of a WebP or PNG, by its header.
-
-    WebP: RFC 9649, sections 2.5 to 2.7; PNG: W3C, 11.2.1.
-    """
-    if content.startswith(b"\x89PNG\r\n\x1a\n") and len(content) >= 24:
-        width, height = struct.unpack_from(">II", content, 16)
-        return width, height
-    kind = content[12:16] if content.startswith(b"RIFF") and content[8:12] == b"WEBP" else b""
-    if kind == b"VP8L" and len(content) >= 25:
-        bits = int.from_bytes(content[21:25], "little")
-        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
-    if kind == b"VP8X" and len(content) >= 30:
-        width = 1 + int.from_bytes(content[24:27], "little")
-        height = 1 + int.from_bytes(content[27:30], "little")
-        if b"VP8 " not in _chunks(content):
-            return width, height
-    if kind in (b"VP8 ", b"VP8X"):
-        refuse(path, f"{place}: a lossy WebP, expected a lossless one; its numbers are lost")
-    return refuse(path, f"{place}: neither WebP nor PNG (begins with {content[:4]!r})")
-
-
-def _chunks(content: bytes) -> set[bytes]:
-    """Names of the first chunks of a WebP; files have up to six."""
-    names, at = set(), 12
-    for _ in range(16):
-        if at + 8 > len(content):
-            break
-        names.add(content[at : at + 4])
-        length = int.from_bytes(content[at + 4 : at + 8], "little")
-        at += 8 + length + length % 2
-    return names
-
-
-def _pixels(path: Path, name: Field, content: bytes, least: int, most: int) -> tuple[U8, int]:
-    """[H W, 4] RGBA of an image of ``least`` to ``most`` pixels, and its width."""
-    from PIL import Image
-
-    place = f"{name.place} {printable(name.value, 40)}"
-    width, height = _size(path, place, content)
-    if width * height < least:
-        refuse(
-            path,
-            f"{place}: {width}x{height} pixels, expected {least} or more, as many as Gaussians; "
-            "the file is damaged",
-        )
-    if width * height > most:
-        refuse(path, f"{place}: {width}x{height} pixels, expected at most {most}")
-    try:
-        with Image.open(BytesIO(content), formats=("WEBP", "PNG")) as image:
-            if image.size != (width, height):
-                refuse(path, f"{place}: its two headers disagree about its size")
-            rgba = image.convert("RGBA")
-    except (OSError, ValueError, SyntaxError, EOFError, struct.error, zlib.error) as error:
-        text = printable(" ".join(str(error).split()), 80)
-        refuse(path, f"{place}: cannot be decoded: {text}; the file is damaged")
-    except (Image.DecompressionBombError, Image.DecompressionBombWarning):
-        refuse(path, f"{place}: {width}x{height} pixels are more than Pillow decodes")
-    return np.asarray(rgba, np.uint8).reshape(-1, 4), width
-
-
 def _logarithmic(low: float, high: float) -> F32:
     """[65536] positions: sign(v) (e^|v| - 1), v evenly from ``low`` to ``high``."""
     values = low + (high - low) * (np.arange(65536) / 65535)
@@ -247,7 +173,7 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
     pixels: dict[str, U8] = {}
     for done, (key, name) in enumerate(images.items()):
         options.progress(done, 3 * len(images))
-        decoded, _ = _pixels(path, name, fetch(name), count, most)
+        decoded, _ = _image(path, name, fetch, count, most)
         pixels[key] = decoded[:count]
     if palette is not None:
         top = _largest_label(pixels["shN_labels"])
@@ -282,11 +208,18 @@ def _largest_label(labels: U8) -> int:
     return high << 8 | int(labels[labels[:, 1] == high, 0].max())
 
 
+def _image(path: Path, name: Field, fetch: Fetch, least: int, most: int) -> tuple[U8, int]:
+    from tsplat.io.pixels import pixels
+
+    place = f"{name.place} {printable(name.value, 40)}"
+    return pixels(path, place, fetch(name), least, most)
+
+
 def _palette(path: Path, field: Field, fetch: Fetch, *, old: bool) -> F32:
     """[P, K - 1, 3] coefficients of degree 1 and up that Gaussians share."""
     name = field.get("files").items(2)[0]
     most = (PALETTE_MAX // PER_ROW) * max(DEGREES)
-    pixels, width = _pixels(path, name, fetch(name), 1, most)
+    pixels, width = _image(path, name, fetch, 1, most)
     if width not in DEGREES:
         refuse(
             path,
@@ -302,79 +235,33 @@ def _palette(path: Path, field: Field, fetch: Fetch, *, old: bool) -> F32:
         table = _codebook(field)
     with np.errstate(over="ignore"):
         values = table.astype(np.float32)[pixels[:, :3]]
-    return values.reshape(len(pixels) // (width // PER_ROW), -1, 3)
-
-
-def _directory(path: Path, size: int) -> None:
-    """Refuses a zip archive whose directory is larger than a SOG's can be.
-
-    zipfile makes an object of each entry it finds there, ten times as large.
-    """
-    tail = 22 + 65535
-    with path.open("rb") as stream:
-        stream.seek(max(size - tail - 20, 0))
-        end = stream.read()
-    at = end.rfind(EOCD)
-    if at < 0 or len(end) - at < 22:
-        refuse(path, "truncated: a zip archive without its directory; copy or download it again")
-    (length,) = struct.unpack_from("<I", end, at + 12)
-    if length > DIRECTORY_MAX or b"PK\x06\x07" in end[max(at - 20, 0) : at]:
-        refuse(
-            path,
-            f"a zip archive with a directory of {length} bytes, expected at most {DIRECTORY_MAX} "
-            "and no zip64; unpack it and name its meta.json",
-        )
+    palette = values.reshape(len(pixels) // (width // PER_ROW), -1, 3)
+    promised = field.maybe("count")
+    return palette if promised is None else palette[: promised.integer(1, len(palette))]
 
 
 def _bundle(path: Path, options: ReadOptions) -> Scene:
-    size = path.stat().st_size
-    _directory(path, size)
-    with ExitStack() as stack:
-        try:
-            archive = stack.enter_context(zipfile.ZipFile(path))
-        except (zipfile.BadZipFile, ValueError, NotImplementedError, struct.error) as error:
-            text = printable(" ".join(str(error).split()), 80)
-            refuse(path, f"a zip archive that cannot be read: {text}")
-        names = [n for n in archive.namelist() if n == META or n.endswith("/" + META)]
+    from tsplat.io.bundle import Bundle
+
+    with Bundle(path) as bundle:
+        names = [n for n in bundle.names if n == META or n.endswith("/" + META)]
         if not names:
-            inside = ", ".join(printable(n, 40) for n in archive.namelist()[:8]) or "nothing"
+            inside = ", ".join(printable(n, 40) for n in bundle.names[:8]) or "nothing"
             refuse(path, f"a zip archive without {META}, which a SOG has; it holds {inside}")
         first = min(names, key=len)
-        prefix = first[: -len(META)]
-        meta = parse(path, META, _member(path, archive, first, META, JSON_MAX))
+        meta = parse(path, META, bundle.read(first, META, JSON_MAX))
 
         def fetch(name: Field) -> bytes:
-            member = prefix + name.text()
-            if member not in archive.NameToInfo:
+            member = first.removesuffix(META) + name.text()
+            if member not in bundle.names:
                 refuse(
                     path,
                     f"{name.place} names {printable(name.value, 60)}, which is not in the archive",
                 )
             # a WebP is not compressed further; deflate takes off a little, or what was idle
-            return _member(path, archive, member, name.place, 4 * size + (1 << 20))
+            return bundle.read(member, name.place, 4 * bundle.size + (1 << 20))
 
-        return _decode(path, meta, fetch, lambda _: size, options)
-
-
-def _member(path: Path, archive: zipfile.ZipFile, name: str, place: str, most: int) -> bytes:
-    info = archive.getinfo(name)
-    shown = printable(name, 60)
-    if info.file_size > most:
-        refuse(path, f"{place}: {shown} has {info.file_size} bytes, expected at most {most}")
-    if info.flag_bits & ENCRYPTED or info.compress_type not in STORED_OR_DEFLATED:
-        refuse(path, f"{place}: {shown} is encrypted or packed in a way that is not read")
-    try:
-        with archive.open(info) as stream:
-            content = stream.read(info.file_size + 1)
-    except (
-        zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError, RuntimeError,
-        struct.error,
-    ) as error:  # fmt: skip
-        text = printable(" ".join(str(error).split()), 80)
-        refuse(path, f"{place}: {shown} cannot be unpacked: {text}; download the file again")
-    if len(content) != info.file_size:
-        refuse(path, f"{place}: {shown} has {len(content)} bytes, promised were {info.file_size}")
-    return content
+        return _decode(path, meta, fetch, lambda _: bundle.size, options)
 
 
 def _folder(path: Path, options: ReadOptions) -> Scene:
@@ -414,7 +301,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
 
 
 def _load() -> Read:
-    from PIL import Image  # noqa: F401 - and what is wrong with it, now
+    import tsplat.io.pixels  # noqa: F401 - Pillow, and what is wrong with it, now
 
     return read
 

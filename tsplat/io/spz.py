@@ -48,9 +48,10 @@ ANTIALIASED, EXTENSIONS = 1, 2
 COORDINATES = 0xADBE0003
 """SPZ_ADOBE_coordinate_system; its payload is a uint32, which counts SYSTEMS from 1."""
 
-SYSTEMS = tuple(
-    "LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split()
-)
+SYSTEMS = (
+    "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF",
+    "LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU",
+)  # fmt: skip
 """``include/spz/splat-types.h``, CoordinateSystem, from 1 on."""
 
 DEFAULT = "RUB"
