@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F64, I32, I64, Floats, Scene
+from tsplat.core.types import F16, F64, I32, I64, Floats, Scene
 from tsplat.core.workspace import default_threads
 from tsplat.io import curve
 from tsplat.io.base import SAMPLED, ReadOptions, refuse, sample_rows
@@ -37,7 +37,8 @@ class Gaussians(NamedTuple):
     quats: Floats  # [n, 4]  w, x, y, z; any length
     scales: Floats  # [n, 3]  linear
     opacities: Floats  # [n]
-    sh: Floats  # [n, K, 3]
+    sh: Floats | F16  # [n, K, 3]
+    sh_error: float = 0.0  # what float16 has cost, as of Scene.sh_error
 
 
 class Source(Protocol):
@@ -51,8 +52,8 @@ class Source(Protocol):
         """[n, 3] the positions of increasing ``rows``, some of which may not be finite."""
         ...
 
-    def gaussians(self, rows: slice | I64) -> Gaussians:
-        """Everything about increasing ``rows``."""
+    def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
+        """Everything about increasing ``rows``; coefficients may be float16 if ``half``."""
         ...
 
 
@@ -145,8 +146,9 @@ def _decoded(
 
     def add(part: slice) -> bool:
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):  # builder drops those
-            rows = source.gaussians(rows_of(part))
-        builder.add(*rows, part if places is None else places[part])
+            rows = source.gaussians(rows_of(part), half)
+        to = part if places is None else places[part]
+        builder.add(*rows[:5], to, rows.sh_error)
         return builder.sh_error < SH_ERROR_MAX
 
     _sweep(add, count, lambda done: options.progress(goal - count + done, goal))

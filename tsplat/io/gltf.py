@@ -145,12 +145,15 @@ class Splats:
         """See :class:`tsplat.io.gather.Source`."""
         return np.concatenate([p.means(inside) for p, inside in self._parts(rows)])
 
-    def gaussians(self, rows: slice | I64) -> Gaussians:
+    def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
         """See :class:`tsplat.io.gather.Source`."""
         parts = [p.gaussians(inside, self.coefficients) for p, inside in self._parts(rows)]
         if len(parts) == 1:
             return parts[0]
-        return Gaussians(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        means, quats, scales, opacities, sh = (
+            np.concatenate(column) for column in zip(*(p[:5] for p in parts), strict=True)
+        )
+        return Gaussians(means, quats, scales, opacities, sh)
 
 
 class _File:

@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, F64, I64, U8, Floats, Scene
+from tsplat.core.types import F16, F32, F64, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse
 from tsplat.io.fields import JSON_MAX, Field, parse
 from tsplat.io.gather import Gaussians, check_count, gather, left_of_one, no_raw_opacity
+from tsplat.io.half import SH_ERROR_MAX, SH_PEAKS
 
 META = "meta.json"
 ZIP = b"PK\x03\x04"
@@ -73,6 +74,11 @@ class Splats:
         self.coefficients = 1 if palette is None else 1 + palette.shape[1]
         self._positions, self._scales, self._colors = positions, scales, colors
         self._opacities, self._palette, self._pixels = opacities, palette, pixels
+        # The tables are rounded once, not every Gaussian's coefficients
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            self._colors_16 = [table.astype(np.float16) for table in colors]
+            self._palette_16 = None if palette is None else palette.astype(np.float16)
+        self._error = _error(colors, self._colors_16, palette, self._palette_16)
 
     def means(self, rows: slice | I64) -> Floats:
         """See :class:`tsplat.io.gather.Source`."""
@@ -82,20 +88,25 @@ class Splats:
             means[:, axis] = table[low[:, axis] | high[:, axis].astype(np.uint16) << 8]
         return means
 
-    def gaussians(self, rows: slice | I64) -> Gaussians:
+    def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
         """See :class:`tsplat.io.gather.Source`."""
+        half = half and self._error < SH_ERROR_MAX
         colored, sized = self._pixels["sh0"][rows], self._pixels["scales"][rows]
         scales = np.empty((len(sized), 3), np.float32)
-        sh = np.empty((len(sized), self.coefficients, 3), np.float32)
+        colors, palette = (
+            (self._colors_16, self._palette_16) if half else (self._colors, self._palette)
+        )
+        sh = np.empty((len(sized), self.coefficients, 3), np.float16 if half else np.float32)
         for i in range(3):
             scales[:, i] = self._scales[i][sized[:, i]]
-            sh[:, 0, i] = self._colors[i][colored[:, i]]
-        if self._palette is not None:
+            sh[:, 0, i] = colors[i][colored[:, i]]
+        if palette is not None:
             labels = self._pixels["shN_labels"][rows]
-            sh[:, 1:] = self._palette[labels[:, 0] | labels[:, 1].astype(np.uint16) << 8]
+            sh[:, 1:] = palette[labels[:, 0] | labels[:, 1].astype(np.uint16) << 8]
         return Gaussians(
-            self.means(rows), self._quats(rows), scales, self._opacities[colored[:, 3]], sh
-        )
+            self.means(rows), self._quats(rows), scales, self._opacities[colored[:, 3]], sh,
+            self._error if half else 0.0,
+        )  # fmt: skip
 
     def _quats(self, rows: slice | I64) -> F32:
         pixels = self._pixels["quats"][rows]
@@ -201,6 +212,25 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
 def _listed(field: Field, key: str) -> bool:
     found = field.maybe(key)
     return found is not None and isinstance(found.value, list) and len(found.value) > 0
+
+
+def _error(
+    colors: list[F32], colors_16: list[F16], palette: F32 | None, palette_16: F16 | None
+) -> float:
+    """How far float16 may move a colour: the worst base colour's part and the worst entry's.
+
+    Not a number where a table is not: then it is for float32.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        worst = max(
+            float(np.nanmax(np.abs(half.astype(np.float64) - full)) * SH_PEAKS[0])
+            for half, full in zip(colors_16, colors, strict=True)
+        )
+        if palette is None or palette_16 is None:
+            return worst
+        peaks = np.array(SH_PEAKS[1 : 1 + palette.shape[1]])
+        off = np.abs(palette_16.astype(np.float64) - palette)
+        return worst + float(np.einsum("pkc,k->pc", off, peaks).max())
 
 
 def _largest_label(labels: U8) -> int:

@@ -27,6 +27,7 @@ from tsplat.core.types import F32, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse
 from tsplat.io.gather import Gaussians, check_count, gather, left_of_one, no_raw_opacity
+from tsplat.io.half import SH_PEAKS
 from tsplat.io.turn import Turn, axes
 
 if TYPE_CHECKING:
@@ -65,6 +66,9 @@ with np.errstate(under="ignore"):
 ALPHAS = (_BYTES / 255).astype(np.float32)
 COLORS = ((_BYTES / 255 - 0.5) / 0.15).astype(np.float32)
 SH = ((_BYTES - 128) / 128).astype(np.float32)
+SH_16 = SH.astype(np.float16)  # exactly
+COLORS_16 = COLORS.astype(np.float16)
+COLORS_ERROR = float(np.abs(COLORS_16 - COLORS.astype(np.float64)).max() * SH_PEAKS[0])
 THIRDS = _BYTES / 127.5 - 1
 SMALLEST = np.where(np.arange(1024) & 512, -1, 1) * (np.arange(1024) & 511) / 511 * np.sqrt(0.5)
 """Ten bits, a sign and nine of size, of one of the smallest three components of a quaternion."""
@@ -124,19 +128,22 @@ class Splats:
         fixed = words.view("<i4")[..., 0] >> 8
         return self._turn.means(fixed.astype(np.float32) * np.float32(2.0**-self._head.fraction))
 
-    def gaussians(self, rows: slice | I64) -> Gaussians:
+    def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
         """See :class:`tsplat.io.gather.Source`."""
-        colors = self._colors[rows]
-        sh = np.empty((len(colors), self.coefficients, 3), np.float32)
-        sh[:, 0] = COLORS[colors]
+        half = half and self._turn.flips_sh
+        colors, sines = (COLORS_16, SH_16) if half else (COLORS, SH)
+        based = self._colors[rows]
+        sh = np.empty((len(based), self.coefficients, 3), colors.dtype)
+        sh[:, 0] = colors[based]
         if self.coefficients > 1:
-            sh[:, 1:] = SH[self._sh[rows]]
+            sh[:, 1:] = sines[self._sh[rows]]
         return Gaussians(
             self.means(rows),
             self._turn.quats(self._quats(rows)),
             self._turn.scales(SCALES[self._scales[rows]]),
             ALPHAS[self._alphas[rows, 0]],
             self._turn.sh(sh),
+            COLORS_ERROR if half else 0.0,
         )
 
     def _quats(self, rows: slice | I64) -> F32:

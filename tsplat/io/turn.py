@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tsplat.core.constants import SH_DEGREE_MAX
 from tsplat.core.types import F64, Floats
@@ -59,7 +59,7 @@ def _quaternion(matrix: F64) -> F64:
     return np.asarray(row / np.linalg.norm(row), np.float64)
 
 
-def _like(values: F64, other: Floats) -> Any:
+def _like(values: F64, other: NDArray[Any]) -> Any:
     """``values`` in the type of ``other``."""
     return values.astype(other.dtype)
 
@@ -97,6 +97,16 @@ class Turn:
         """[n, 3] linear."""
         return scales if self.scale == 1 else scales * self.scale
 
+    @property
+    def flips_sh(self) -> bool:
+        """Whether coefficients change no more than their signs."""
+        return self._flips is not None
+
+    @cached_property
+    def _signs(self) -> NDArray[np.uint16]:
+        """[48] the sign bits to flip of a Gaussian's coefficients, in float16."""
+        return np.repeat(np.where(np.diagonal(self._harmonics) < 0, 0x8000, 0), 3).astype(np.uint16)
+
     @cached_property
     def _harmonics(self) -> F64:
         """[16, 16] turned coefficients from coefficients."""
@@ -108,12 +118,17 @@ class Turn:
         nearest = np.round(matrix)
         return np.where(np.abs(matrix - nearest) < EXACT, nearest, matrix)
 
-    def sh(self, sh: Floats) -> Floats:
-        """[n, K, 3]."""
+    def sh(self, sh: NDArray[Any]) -> NDArray[Any]:
+        """[n, K, 3], C-contiguous; float16 only where ``flips_sh``. May change its argument."""
         k = sh.shape[1]
         if k == 1:
             return sh
-        matrix = self._harmonics[:k, :k]
-        if self._flips is not None:
-            return np.asarray(sh * _like(np.diagonal(matrix)[:, None], sh))
-        return np.asarray(np.matmul(_like(matrix, sh), sh))
+        if self._flips is None:
+            return np.asarray(np.matmul(_like(self._harmonics[:k, :k], sh), sh))
+        rows = sh.reshape(len(sh), 3 * k)  # whole rows: NumPy's loops over three numbers are slow
+        if sh.dtype == np.float16:
+            bits = rows.view(np.uint16)
+            bits ^= self._signs[: 3 * k]
+        else:
+            rows *= np.repeat(_like(np.diagonal(self._harmonics)[:k], sh), 3)
+        return sh
