@@ -3,8 +3,8 @@
     python bench/link.py [--rate 1] [--delay 100] [--presenters kitty,sixel] [--markdown] [--json F]
 
 Two network namespaces, a link of so many Mbit/s and ms there and back between them (network.py;
-root). In the one `tsplat view` runs in a pty of 100x34 cells of 10x20 px, and a relay that stands in
-for sshd carries the pty over TCP. In the other a terminal answers questions and status reports
+root). In the one `tsplat view` runs in a pty of 100x34 cells of 10x20 px, and a relay, standing in
+for sshd, carries the pty over TCP. In the other a terminal answers questions and status reports
 when it has read everything before them, and types keys:
 
 - 20 taps, a quarter of them when the picture is there in full, the others at any time before;
@@ -44,7 +44,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from network import ADDRESSES, QUEUE, NoNetwork, network
+from network import ADDRESSES, QUEUE, NoNetworkError, network
 
 ROOT = Path(__file__).resolve().parents[1]
 COLUMNS, ROWS = 100, 34
@@ -412,7 +412,7 @@ def main(words: Sequence[str] | None = None) -> int:
                     "  ".join(f"{h}: {c}" for h, c in zip(HEADINGS, cells(rows[-1]), strict=True)),
                     flush=True,
                 )
-    except NoNetwork as error:
+    except NoNetworkError as error:
         print(f"no link: {error}", file=sys.stderr)
         return 1
     if arguments.markdown:

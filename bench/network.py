@@ -1,9 +1,9 @@
 """Two network namespaces and a slow link between them, made of what the kernel offers.
 
-With netem (tc-netem(8)): a veth pair, half the delay on each side, the rate and a queue of ``QUEUE``
-packets on the side that sends pictures. Without it: two TUN devices
-(https://docs.kernel.org/networking/tuntap.html) and a thread here that carries the packets from one
-to the other with the same rate, delay and queue. TCP is the kernel's in both.
+With netem (tc-netem(8)): a veth pair, half the delay on each side, the rate and a queue of
+``QUEUE`` packets on the side that sends pictures. Without it: two TUN devices
+(https://docs.kernel.org/networking/tuntap.html) and a thread here that carries the packets from
+one to the other with the same rate, delay and queue. TCP is the kernel's in both.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TUNSETIFF, IFF_TUN, IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 TUN = "/dev/net/tun"
 
 
-class NoNetwork(Exception):
+class NoNetworkError(Exception):
     """Why there is no link."""
 
 
@@ -49,7 +49,7 @@ class Ends:
 def _run(*words: str) -> None:
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise NoNetwork(f"`{' '.join(words)}`: {done.stderr.strip()}")
+        raise NoNetworkError(f"`{' '.join(words)}`: {done.stderr.strip()}")
 
 
 @contextlib.contextmanager
@@ -57,12 +57,12 @@ def network(rate: float, delay: float, kind: str = "auto") -> Iterator[Ends]:
     """A link of ``rate`` bits/s and ``delay`` s there and back; gone again at the end.
 
     Raises:
-        NoNetwork: not root, a program or the kernel's part of it is missing.
+        NoNetworkError: not root, a program or the kernel's part of it is missing.
     """
     missing = [name for name in ("ip", "tc") if shutil.which(name) is None]
     if os.geteuid() or missing:
         wants = f"{' and '.join(missing)} (iproute2)" if missing else "root"
-        raise NoNetwork(f"network namespaces need {wants}")
+        raise NoNetworkError(f"network namespaces need {wants}")
     names = [f"tsplat-{os.getpid()}-{side}" for side in ("a", "b")]
     with contextlib.ExitStack() as stack:
         for name in names:
@@ -73,7 +73,7 @@ def network(rate: float, delay: float, kind: str = "auto") -> Iterator[Ends]:
                 _netem(names, rate, delay)
                 yield Ends(*names, "netem")
                 return
-            except NoNetwork:
+            except NoNetworkError:
                 if kind == "netem":
                     raise
         stack.enter_context(_tun(names, rate, delay))
@@ -96,7 +96,7 @@ def _netem(names: Sequence[str], rate: float, delay: float) -> None:
         for name, device, limit in zip(names, devices, limits, strict=True):
             qdisc = "tc", "-n", name, "qdisc", "add", "dev", device, "root"
             _run(*qdisc, "netem", "delay", half, *limit)
-    except NoNetwork:
+    except NoNetworkError:
         _run("ip", "-n", names[0], "link", "del", devices[0])
         raise
     for name, device, address in zip(names, devices, ADDRESSES, strict=True):
@@ -133,7 +133,7 @@ def _tun(names: Sequence[str], rate: float, delay: float) -> Iterator[None]:
                 request = struct.pack("16sH22x", device.encode(), IFF_TUN | IFF_NO_PI)
                 fcntl.ioctl(tun, TUNSETIFF, request)
             except OSError as error:
-                raise NoNetwork(f"{TUN}: {error.strerror}") from error
+                raise NoNetworkError(f"{TUN}: {error.strerror}") from error
             _run("ip", "link", "set", device, "netns", name)
             _up(name, device, address)
             tuns.append(tun)

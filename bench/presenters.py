@@ -39,7 +39,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench.libraries import libchafa, libsixel
+from libraries import libchafa, libsixel
+
 from tsplat.core.errors import TsplatError
 from tsplat.core.types import U8, Frame
 from tsplat.demo import demo_scene
@@ -59,7 +60,8 @@ from tsplat.views import FOV, frame_orbit
 CELL = 10, 20  # px
 PASSED = re.compile(rb"\x1bPtmux;((?:[^\x1b]|\x1b\x1b)*)\x1b\\")
 STEP = 0.02  # radians from one frame to the next
-REPEATS = 3  # of what is timed, for each frame
+REPEATS = 20  # of what is timed, for each frame
+STARTS = 5  # of a program, for each frame
 NONE = float("nan")
 
 Decode = Callable[[bytes, Terminal], U8]
@@ -159,9 +161,7 @@ def presenter_row(way: Way, frames: list[Frame], few: list[Frame]) -> Row:
     def decoded(data: bytes) -> U8:
         return decode(data, screen)
 
-    moving, note = cost(
-        lambda n: presenter.encode(frames[n], screen, frames[n - 1] if n else None), frames, None
-    )
+    moving, note = cost(lambda n: presenter.encode(frames[n], screen, frames[n - 1]), frames, None)
     alone, note = cost(lambda n: presenter.encode(frames[n], screen, None), frames, decoded)
     moving.psnr = alone.psnr
     same, _ = cost(lambda n: presenter.encode(frames[n], screen, copies[n]), frames, None)
@@ -169,7 +169,7 @@ def presenter_row(way: Way, frames: list[Frame], few: list[Frame]) -> Row:
     coarse, rest = Cost(), Cost()
     if presenter.fill is not None:
         fill = presenter.fill
-        coarse, _ = cost(lambda n: fill(few[n], screen, few[n - 1] if n else None), few, None)
+        coarse, _ = cost(lambda n: fill(few[n], screen, few[n - 1]), few, None)
     if presenter.rest is not None:
         last = presenter.rest
         rest, _ = cost(lambda n: last(frames[n], screen), frames, decoded)
@@ -390,7 +390,7 @@ def timg(frames: list[Frame], terminal: Terminal, ways: dict[str, Decode | None]
             for n, frame in enumerate(frames):
                 path = Path(folder) / f"{n}.ppm"
                 Image.fromarray(frame.to_uint8()).save(path)
-                for _ in range(REPEATS):
+                for _ in range(STARTS):
                     data, seconds = in_pty([*command, str(path)], columns, lines)
                     times.append(seconds - starting)
                 sizes.append(len(data))

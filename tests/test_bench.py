@@ -175,3 +175,39 @@ def test_the_page_has_a_place_for_every_table(bench):
     assert put(once, "x", "| t |") == once
     with pytest.raises(ValueError, match="no markers for y"):
         put(page, "y", "")
+
+
+def test_presenters_are_all_in_the_tables(bench, monkeypatch, capsys):
+    """Each in each of its ways, decoded again: exact where it promises to be, else near."""
+    presenters = bench("presenters")
+    monkeypatch.setattr(presenters, "REPEATS", 1)
+    monkeypatch.setattr(presenters, "timg", lambda *_: [])  # a program, which starts slowly
+    pictures, cells = presenters.picture_rows(120, 60, 2), presenters.cell_rows(12, 4, 2)
+    rows = {row.name: row for row in (*pictures, *cells) if row.name.startswith("tsplat")}
+    names = {name.split(",")[0].split()[1] for name in rows}
+    assert names == {"kitty", "iterm2", "sixel", "halfblock", "blocks", "braille", "letters"}
+    for name, row in rows.items():
+        exact = "kitty" in name or name == "tsplat halfblock"
+        assert (row.moving.psnr == np.inf) == exact, name
+        assert row.moving.psnr > 5
+        assert row.moving.size > 0
+        assert row.note == ""
+    assert rows["tsplat iterm2"].rest.psnr == np.inf
+    assert rows["tsplat sixel"].few.size < rows["tsplat sixel"].moving.size
+    for markdown in (True, False):
+        presenters.show("120x60", pictures, markdown)
+        said = capsys.readouterr().out
+        assert all(row.name in said for row in pictures)
+        assert ("|" in said) == markdown
+
+
+def test_a_presenter_that_shows_something_else_is_found_by_its_psnr(bench):
+    """Upside down is far away; a picture of another size says so."""
+    presenters = bench("presenters")
+    [frame] = presenters.make_frames(60, 40, 1)
+    image = frame.to_uint8()
+    assert presenters.compared(image, frame) == (np.inf, "")
+    assert presenters.compared(image[::-1], frame)[0] < 30
+    psnr, note = presenters.compared(image[::2, ::2], frame)
+    assert psnr < np.inf
+    assert note == "~ 30x20"

@@ -10,11 +10,18 @@ import pytest
 from hypothesis import Phase, settings
 
 from tests.conftest import ROOT
+from tests.viewer.rules import VIEW
 from tsplat import Frame, Terminal, hookspecs
-from tsplat.cli import COMMANDS, make_parser
+from tsplat.cli import COMMANDS, VIEW_EXAMPLES, make_parser
 from tsplat.core.errors import ContractError
+from tsplat.core.params import KNOBS
 from tsplat.testing.conformance import backend_checks
 from tsplat.testing.presenting import BYTES_ALONE, DECODED, DECODINGS, presenter_checks
+from tsplat.viewer.controls import HELP, MOTIONS
+from tsplat.viewer.controls import KEYS as KEY_ACTS
+from tsplat.viewer.keep import free_name
+from tsplat.viewer.settings import Facts, sections
+from tsplat.viewer.text import KEYS
 
 DOCS = ROOT / "docs"
 
@@ -116,7 +123,7 @@ def test_the_presenter_tutorial_runs():
     assert caught(presenter_checks(namespace["FIRST_TRY"], kitty, max_examples=40)) == {"stream"}
     assert caught(presenter_checks(namespace["SECOND_TRY"], kitty, max_examples=40)) == set()
     shown = namespace["test_conformance"].pytestmark[0].args[1]
-    assert {check.name for check in shown} == {*BYTES_ALONE, *DECODED} - {"fill"}
+    assert {check.name for check in shown} == {*BYTES_ALONE, *DECODED} - {"fill", "rest"}
     few = Frame(np.array([[[0, 0, 0], [1, 1, 1]]], np.float32), np.zeros((1, 2), np.float32))
     filled = namespace["FILLING"].fill(few, Terminal(columns=4, rows=3), None)
     assert filled == b"  @@\r\n  @@"
@@ -150,6 +157,62 @@ def test_the_readmes_python_runs(tmp_path, monkeypatch):
     assert len(code.strip().splitlines()) <= 5
     exec(compile(code, "README.md", "exec"), {})
     assert (tmp_path / "garden.png").stat().st_size > 1000
+
+
+def table(path):
+    """First cells of all tables on a page -> the other cells of all rows that begin so."""
+    rows = {}
+    for name, rest in re.findall(r"^\| *(.*?) *\|(.*)\|$", path.read_text(), re.M):
+        rows[name] = rows.get(name, "") + rest
+    return rows
+
+
+def test_the_viewers_page_has_every_key():
+    """With the words of the help page, of which it may say more."""
+    rows = table(DOCS / "viewer.md")
+    for line in HELP.splitlines():
+        keys, words = " ".join(line[:KEYS].split()), line[KEYS:]
+        assert keys in rows, keys
+        said = "the list of keys" if words == "this help" else words
+        first, *more = re.split("[;:(,]", said)
+        assert first.strip() in rows[keys]
+        assert all(part.strip(" )") in rows[keys] for part in more)
+
+
+def test_the_viewers_page_has_every_setting():
+    """Each row of the panel, and by which option it is had; of options that there are."""
+    rows = table(DOCS / "viewer.md")
+    named = [name for cell in rows for name in cell.split(", ")]
+    for title, settings_rows in sections(VIEW, Facts()):
+        for row in settings_rows:
+            said = row.name.strip()
+            assert said in named or f'"{said}"' in rows["alpha threshold"], (title, said)
+    view = make_parser()._subparsers._group_actions[0].choices["view"]
+    options = {option for action in view._actions for option in action.option_strings}
+    text = (DOCS / "viewer.md").read_text()
+    shown = set(re.findall(r"`(--[a-z-]+)", text))
+    assert len(shown) > 20
+    assert shown - {"--path"} <= options
+    knobs = set(re.findall(r"--set ([a-z_]+)=", text))
+    assert knobs == set(KNOBS) - {"half", "sh_degree"}
+
+
+def test_the_viewers_page_names_the_files_as_they_are_called(tmp_path):
+    """With SCENE for the scene's name."""
+    text = (DOCS / "viewer.md").read_text()
+    for stem, suffix in (("SCENE", ".png"), ("SCENE", ".json"), ("SCENE-path", ".json")):
+        place = free_name(tmp_path, stem, suffix)
+        assert f"`{place.name}`" in text
+        place.unlink()
+
+
+def test_the_usage_line_of_keys_is_true():
+    """`tsplat view --help` names keys that there are, and no letter that does nothing."""
+    (line,) = re.findall(r"keys: (.*?)\Z", VIEW_EXAMPLES, re.S)
+    named = set(re.findall(r"\b[A-Z]\b", line))
+    assert {"W", "P", "V", "Q", "Z"} <= named
+    for letter in named:
+        assert letter.lower() in KEY_ACTS or letter.lower() in MOTIONS, letter
 
 
 def test_every_option_has_help():

@@ -54,7 +54,7 @@ def test_faint_ones_are_left_out(scene):
     least = float(np.median(scene.opacities))
     kept = scene.opacities >= np.float32(least)
     np.testing.assert_array_equal(
-        picture(edited(scene, Edits(opacity_min=least))), picture(scene.take(kept))
+        picture(edited(scene, Edits(min_opacity=least))), picture(scene.take(kept))
     )
 
 
@@ -109,7 +109,7 @@ def test_colours_that_are_off_stay_within_what_is_said(scene):
     "wrong",
     [
         {"splat_scale": -1.0}, {"splat_scale": float("nan")}, {"saturation": 11.0},
-        {"opacity_min": 1.5},
+        {"min_opacity": 1.5},
     ],
 )  # fmt: skip
 def test_what_cannot_be(wrong):

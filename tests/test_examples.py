@@ -107,7 +107,8 @@ def test_their_own_tests_pass(python, name):
     """Each example's test file passes where it is installed."""
     folder = ROOT / "examples" / name
     result = subprocess.run(
-        [python, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", folder], capture_output=True,
+        [python, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", folder],
+        capture_output=True,
         cwd=python.parent, check=False,
     )  # fmt: skip
     assert result.returncode == 0, result.stdout.decode()

@@ -45,8 +45,9 @@ examples:
   tsplat view scene.ply --verify
   tsplat view scene.ply --play path.json
 
-keys: W A S D pan, arrows or J K / H L turn, + - zoom, mouse drag turns, wheel zooms,
-      O auto-orbit, U upside up, R reset, Tab status line, ? help, Q quit
+keys: W A S D R F move, arrows or drag turn, + - or wheel zoom, C or 2 clicks go there,
+      Space flies, O turns by itself, U upside up, Z first view, Tab settings, P keeps a picture,
+      V records a path, ? all keys, Q quit
 """
 CAT_EXAMPLES = """\
 examples:
@@ -296,7 +297,7 @@ def _add_edits(parser: argparse.ArgumentParser) -> None:
         "--splat-scale", type=_positive, default=1.0, metavar="F", help="times as large splats (1)"
     )
     edits.add_argument(
-        "--opacity-min", type=_share, default=0.0, metavar="O",
+        "--min-opacity", type=_share, default=0.0, metavar="O",
         help="leave out Gaussians of less opacity, 0 to 1 (0)",
     )  # fmt: skip
     edits.add_argument(

@@ -43,13 +43,13 @@ class Edits:
     """
 
     splat_scale: float = 1.0  # times every Gaussian's standard deviations
-    opacity_min: float = 0.0  # Gaussians of less opacity are not drawn
+    min_opacity: float = 0.0  # Gaussians of less opacity are not drawn
     saturation: float = 1.0  # of all colours; 0 is grey
     raw_opacity: bool = False  # the file's opacities were 0..1 and not logits after all
     crop: Box | None = None  # Gaussians whose mean is outside are not drawn
 
     def __post_init__(self) -> None:
-        for name, most in (("splat_scale", 100.0), ("saturation", 10.0), ("opacity_min", 1.0)):
+        for name, most in (("splat_scale", 100.0), ("saturation", 10.0), ("min_opacity", 1.0)):
             value = getattr(self, name)
             if not 0 <= value <= most:
                 raise ParamsError(f"{name}: expected 0 to {most:g}, got {value}")
@@ -82,8 +82,8 @@ def edited(scene: Scene, edits: Edits) -> Scene:
     if edits.raw_opacity:
         opacities = _logits(opacities)
     drawn = np.ones(len(scene), bool)
-    if edits.opacity_min > 0:
-        drawn &= opacities >= np.float32(edits.opacity_min)
+    if edits.min_opacity > 0:
+        drawn &= opacities >= np.float32(edits.min_opacity)
     if edits.crop is not None:
         drawn &= _inside(scene, edits.crop)
     scales = scene.scales

@@ -1,6 +1,7 @@
-"""iTerm2's bytes hold a JPEG of the frame at its own size."""
+"""iTerm2's bytes hold a JPEG of the frame at its own size, or, if it stays, a PNG."""
 
 import io
+import math
 from dataclasses import replace
 
 import pytest
@@ -43,6 +44,39 @@ def test_quality_over_a_network():
     there = ITERM2.encode(frame_of(image), replace(ROOM, remote=True), None)
     assert len(there) < 0.7 * len(here)
     assert psnr(decoders.iterm2(there, ROOM).picture, image) > 33
+
+
+def test_a_picture_that_stays_is_exact():
+    """A PNG; over a network a JPEG of 40 dB, in less than half of that."""
+    image = photo()
+    here = ITERM2.rest(frame_of(image), ROOM)
+    assert (decoders.iterm2(here, ROOM).picture == image).all()
+    there = ITERM2.rest(frame_of(image), replace(ROOM, remote=True))
+    assert psnr(decoders.iterm2(there, ROOM).picture, image) > 40
+    assert len(there) < len(here) / 2
+
+
+def test_where_every_picture_is_kept_there_are_few_and_small_ones():
+    """iTerm2 keeps all: 10 a second at most, of two thirds of the bytes; a whole one at rest."""
+    image = photo()
+    keeps = replace(ROOM, name="iTerm2 3.5.0")
+    assert ITERM2.fps(keeps) == 10
+    assert ITERM2.fps(ROOM) == math.inf
+    here = ITERM2.encode(frame_of(image), ROOM, None)
+    there = ITERM2.encode(frame_of(image), keeps, None)
+    assert len(there) < len(here) * 0.67
+    assert ITERM2.rest(frame_of(image), keeps) == ITERM2.rest(frame_of(image), ROOM)
+
+
+@pytest.mark.parametrize("name", ["", "Konsole 26.08.2"])
+def test_cells_say_the_size_where_nobody_told_how_large_they_are(name):
+    """All columns, and all rows but the last; the aspect gives way."""
+    terminal = replace(ROOM, columns=9, rows=7, cell_told=False, name=name)
+    for encode in (ITERM2.encode, ITERM2.fill):
+        data = encode(frame_of(photo(90, 120)), terminal, None)
+        [(keys, _)] = decoders.iterm2_files(data)
+        assert (keys["width"], keys["height"]) == ("9", "6")
+        assert keys["preserveAspectRatio"] == ("1" if name else "0")
 
 
 def test_an_unchanged_picture_costs_nothing():

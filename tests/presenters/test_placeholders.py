@@ -134,6 +134,19 @@ def test_cells_are_written_once():
     assert seen_by_tmux(KITTY.encode(frame_of(image[:80]), TMUX, first)) != b""
 
 
+def test_cells_are_written_once_for_fewer_pixels_too():
+    """Frames of few pixels after each other, and the full size after them, write no cells."""
+    few, other, full = (frame_of(photo(w, h, w)) for w, h in ((100, 40), (50, 20), (400, 160)))
+    assert seen_by_tmux(KITTY.fill(few, TMUX, None)) != b""
+    for fill, frame, before in (
+        (KITTY.fill, few, full), (KITTY.fill, other, few), (KITTY.encode, full, other),
+    ):  # fmt: skip
+        data = fill(frame, TMUX, before)
+        assert seen_by_tmux(data) == b""
+        [(keys, _)] = decoders.kitty_commands(past_tmux(data), [])
+        assert (keys["c"], keys["r"]) == ("40", "8")
+
+
 def test_size_is_held_to_the_marks():
     """297 columns and rows at most, however large the screen is."""
     huge = replace(TMUX, columns=500, rows=400)

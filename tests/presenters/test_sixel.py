@@ -13,6 +13,7 @@ from pictures import frame_of, photo, psnr
 from tsplat.presenters import sixel
 from tsplat.presenters.base import Terminal
 from tsplat.presenters.dither import distinct, steady
+from tsplat.presenters.enlarge import edges
 from tsplat.presenters.sixel import SIXEL
 from tsplat.testing import decoders
 
@@ -47,7 +48,7 @@ def test_a_frame_decodes_to_its_palette_picture(width, height):
     shown = percent(SIXEL.rest(frame_of(image), ROOM))
     np.testing.assert_array_equal(shown, palette[rows])
     picture = distinct(image)
-    rows = steady(picture, sixel.levels(palette), sixel.TOLERANCE)
+    rows = steady(picture, sixel.levels(palette), sixel.NEAR[1])
     shown = percent(SIXEL.encode(frame_of(image), ROOM, None))
     np.testing.assert_array_equal(shown, palette[rows])
 
@@ -90,7 +91,10 @@ def strips(data):
     ],
 )
 def test_only_the_rows_that_changed_are_sent(changed, height, sent):
-    """From a cell's first row to one that ends a cell and a band; all if cells have fractions."""
+    """From a cell's first row to one that ends a cell and a band.
+
+    All if cells have fractions, and in tmux.
+    """
     terminal = Terminal(30, -(-360 // int(height)) + 3, 10, height, sixel=True)
     image = photo(200, 360)
     after = image.copy()
@@ -98,6 +102,9 @@ def test_only_the_rows_that_changed_are_sent(changed, height, sent):
     data = SIXEL.encode(frame_of(after), terminal, frame_of(image))
     assert strips(data) == sent
     before = SIXEL.encode(frame_of(image), terminal, None)
+    past_tmux = replace(terminal, multiplexer="tmux")
+    whole = SIXEL.encode(frame_of(after), past_tmux, frame_of(image))
+    assert strips(whole) == ([(1, 360)] if changed else [])
     shown = decoders.sixel(before + b"\x1b[H" + data, terminal)
     assert shown.faults == ()
     if changed:
@@ -114,6 +121,23 @@ def test_a_change_in_few_pixels_is_sent_where_they_are_shown():
     after[5] ^= 255
     data = SIXEL.fill(frame_of(after), terminal, frame_of(image))
     assert strips(data) == [(1, 60)]
+
+
+@pytest.mark.parametrize("many", [6, 60, 360, 456])
+def test_rows_begin_with_bands_and_keep_their_middles(many):
+    """From 8 px on with a band, from 4 px on with half of one; less than that where they are."""
+    for few in range(1, many + 1):
+        rows, exact = sixel._row_edges(few, many), edges(few, many)
+        assert (rows[0], rows[-1]) == (0, many)
+        middles = (2 * np.arange(few) + 1) * many // (2 * few)
+        assert (rows[:-1] <= middles).all()
+        assert (middles < rows[1:]).all()
+        if many >= 8 * few:
+            assert not (rows[:-1] % 6).any()
+        elif many >= 4 * few:
+            assert not (rows[:-1] % 3).any()
+        else:
+            np.testing.assert_array_equal(rows, exact)
 
 
 def test_runs_go_on_only_as_far_as_the_tolerance():

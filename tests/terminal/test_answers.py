@@ -142,7 +142,7 @@ RECORDED = {
     "tmux 3.8": (TMUX38, TMUX, (23, 80, 800, 460), Terminal(
         80, 23, 10, 20, sixel=True, sixel_registers=1024, synchronized=True, name="tmux 3.8",
         multiplexer="tmux")),
-    "ghostty-web": (b"", XTERM256, (30, 90, 0, 0), Terminal(90, 30)),
+    "ghostty-web": (b"", XTERM256, (30, 90, 0, 0), Terminal(90, 30, cell_told=False)),
 }  # fmt: skip
 
 
@@ -404,6 +404,17 @@ def test_alacritty_is_known_by_its_terminfo():
     environ = {"TERM": "alacritty"}
     assert parse_answers(b"\x1b[?6c", environ, WINSIZE).draws_blocks
     assert not parse_answers(b"\x1b[?6c", {**environ, "TMUX": "1"}, WINSIZE).draws_blocks
+
+
+def test_it_is_known_whether_a_cell_is_a_guess():
+    """By the kernel's px, the text area's or the cell's answer it is not; without any it is."""
+    bare = (24, 80, 0, 0)
+    assert not parse_answers(b"", XTERM, bare).cell_told
+    assert parse_answers(b"", XTERM, (24, 80, 800, 480)).cell_told
+    assert parse_answers(b"\x1b[4;480;800t", XTERM, bare).cell_told
+    assert parse_answers(b"\x1b[6;20;10t", XTERM, bare).cell_told
+    assert resized(parse_answers(b"", XTERM, bare), (24, 80, 800, 480)).cell_told
+    assert resized(parse_answers(b"\x1b[6;20;10t", XTERM, bare), bare).cell_told
 
 
 def test_the_number_of_samples_can_be_set():

@@ -109,6 +109,18 @@ def test_a_stuck_terminal_does_not_hold_us():
         assert terminal.mode() == terminal.saved
 
 
+def test_a_late_answer_is_not_left_to_the_shell():
+    """A terminal that has answered is waited for on the way out: it may be busy with a picture."""
+    with FakeTerminal() as terminal:
+        with session(terminal) as s:
+            s.draw(b"frame")
+            while s.busy:
+                s.read_events(5.0)
+            terminal.delay = 0.5
+        time.sleep(0.7)
+        assert terminal.output.endswith(b"\x1b[?1049l\x1b[c")  # and no answer, echoed
+
+
 def test_restored_at_interpreter_exit():
     """Even when the ``with`` block is never left."""
     with FakeTerminal(extra=TELLS) as terminal:
@@ -421,15 +433,24 @@ def test_a_watched_descriptor_ends_a_wait():
         assert open_screen.read_events(0) == []
 
 
-def test_kitty_gets_a_nudge():
-    """A window's first picture shows in kitty 0.48 only when something follows a little later."""
+def test_kitty_gets_nudges():
+    """A window's first picture shows in kitty 0.48 only when something follows after it has drawn.
+
+    When that is depends on what else the machine does: soon, and a few times later; then no more.
+    """
     facts = Terminal(kitty=True)
     with FakeTerminal() as terminal, session(terminal, terminal=facts) as open_screen:
         open_screen.draw(b"PICTURE")
-        open_screen.read_events(0.1)
-        open_screen.read_events(0.1)
+        open_screen.read_events(0.05)
+        open_screen.read_events(0.05)
         terminal.settle()
-        assert terminal.output.endswith(b"\x1b[5n\x1b[m")
+        assert b"\x1b[5n\x1b[m" in terminal.output
+        end = time.monotonic() + screen.NUDGES_SECONDS[-1] + 0.1
+        while time.monotonic() < end:
+            open_screen.read_events(end - time.monotonic())
+        terminal.settle()
+        assert terminal.output.endswith(b"\x1b[5n" + b"\x1b[m" * len(screen.NUDGES_SECONDS))
+        assert not open_screen._nudges
 
 
 def test_handlers_are_given_back():
@@ -460,3 +481,46 @@ def test_a_pipe_is_no_terminal():
     with pytest.raises(TerminalError, match="a pipe or file"):
         Screen(null, null, ENVIRON).__enter__()
     os.close(null)
+
+
+def test_a_far_terminal_gets_the_next_frame_before_it_answers():
+    """As soon as the link has room by what is known of it; the answers come one by one."""
+    with FakeTerminal(reports=False) as terminal, session(terminal) as open_screen:
+        open_screen.draw(b"NEAR")
+        assert open_screen.busy
+        open_screen.link.lost()
+        open_screen._unanswered = 0
+        open_screen.link.latency = 5.0
+        open_screen.link._samples += [(100_000, 1.0)] * 3
+        for n in range(3):
+            open_screen.draw(b"ONE" * 1000)
+            assert open_screen.read_events(2) == [Event("ready")]
+            assert not open_screen.busy
+            assert open_screen.waiting
+            assert not open_screen.flights
+            terminal.settle()
+            assert terminal.output.count(b"\x1b[5n") == n + 2
+        terminal.type(b"\x1b[0n" * 3)
+        while len(open_screen.flights) < 3:
+            assert open_screen.read_events(2)
+        assert not open_screen.waiting
+        assert all(flight.sent > 3000 for flight in open_screen.flights)
+
+
+def test_a_frame_that_is_through_is_asked_about_once():
+    """Text after it that is cut short was not the frame's."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        terminal.settle()
+        terminal.reading.clear()
+        open_screen.draw(b"FRAME")
+        open_screen.draw(bytes(100_000), track=False)
+        assert open_screen.abandon()
+        terminal.reading.set()
+        terminal.settle()
+        assert terminal.output.count(b"\x1b[5n") == 1
+        open_screen.draw(bytes(200_000))
+        assert open_screen.abandon()
+        terminal.settle()
+        assert open_screen.read_events(2) == [Event("ready")]
+        terminal.settle()
+        assert terminal.output.count(b"\x1b[5n") == 2

@@ -232,7 +232,7 @@ def check_placed(placed):
             assert int(column) == area.left + 1
             assert screen.get(int(row) - 1 - top) != text
             screen[int(row) - 1 - top] = text
-        assert [screen[i] for i in range(len(lines))] == lines
+        assert [screen.get(i) for i in range(len(lines))] == lines
         assert bool(written) == bool(found)
 
     check()
@@ -298,7 +298,7 @@ def check_nothing_is_overwritten(free_name):
     """A file is there already, of either suffix: the next number is taken."""
     with tempfile.TemporaryDirectory() as folder:
         first = free_name(Path(folder), "a", ".png", ".json")
-        first.unlink()
+        first.unlink(missing_ok=True)
         first.with_suffix(".json").write_text("mine")
         assert free_name(Path(folder), "a", ".png", ".json").stem != first.stem
         third = free_name(Path(folder), "a", ".png", ".json")

@@ -18,7 +18,8 @@ from tests.conftest import ROOT, hear_signals
 
 COLUMNS, ROWS = 60, 20
 LEAVE = b"\x1b[?1049l"
-CELL = "▀".encode()
+CELL = "▀".encode()  # in most pictures; of few pixels, whole cells may do
+COLOR = b"48;2;"  # SGR: of a cell, in any picture
 DSR = b"\x1b[5n"
 
 
@@ -37,15 +38,21 @@ class Session:
     da1 = b"\x1b[?62;22c"
     size = ROWS, COLUMNS, 0, 0  # and px
 
-    def __init__(self, *words, python=sys.executable, code=("-m", "tsplat", "view")):
+    def __init__(
+        self, *words, python=sys.executable, code=("-m", "tsplat", "view"), size=None, cwd=ROOT,
+        path=(),
+    ):  # fmt: skip
+        self.size = size or self.size
         self.master, slave = pty.openpty()
         fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("4H", *self.size))
         self.before = termios.tcgetattr(slave)
         self.slave = slave
         environment = {**os.environ, "TERM": "xterm-256color", "COLORTERM": "truecolor"}
+        places = [*map(str, path), str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+        environment["PYTHONPATH"] = os.pathsep.join(places)
         self.process = subprocess.Popen(
             [python, *code, *words], stdin=slave, stdout=slave,
-            stderr=subprocess.PIPE, cwd=ROOT, env=environment, start_new_session=True,
+            stderr=subprocess.PIPE, cwd=cwd, env=environment, start_new_session=True,
             preexec_fn=hear_signals,  # noqa: PLW1509 - no threads here
         )  # fmt: skip
         self.output = b""
@@ -61,10 +68,9 @@ class Session:
                     self.output += self.read()
                 except OSError:
                     break
-            asked = re.findall(rb"\x1b\[5n|\x1b\[c", self.output)
-            for question in asked[self.answered :]:
-                os.write(self.master, b"\x1b[0n" if question == DSR else self.da1)
-            self.answered = len(asked)
+            for question in re.finditer(rb"\x1b\[5n|\x1b\[c", self.output[self.answered :]):
+                os.write(self.master, b"\x1b[0n" if question[0] == DSR else self.da1)
+            self.answered = max(self.output.rfind(DSR), self.output.rfind(b"\x1b[c")) + 1
 
     def read(self):
         """What the terminal takes at a time."""
@@ -94,6 +100,21 @@ class Session:
         frames = self.frames()
         self.press(keys)
         self.pump(lambda: self.frames() > frames)
+
+    def wait_for(self, words, since=0):
+        """Until ``words`` were written, at ``since`` bytes of output or later."""
+        self.pump(lambda: words in self.output[since:])
+
+    def rest(self, seconds=0.3):
+        """Until nothing was written for so long."""
+        seen = [-1, 0.0]
+
+        def quiet():
+            if len(self.output) != seen[0]:
+                seen[:] = len(self.output), time.monotonic()
+            return time.monotonic() > seen[1] + seconds
+
+        self.pump(quiet)
 
     def end(self, code):
         """Waits for the exit; its code and that the terminal is as it was. What stderr says."""

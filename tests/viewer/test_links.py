@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import re
+import select
 import signal
 import struct
 import termios
@@ -110,6 +111,64 @@ def test_a_resize_in_the_middle_of_a_picture(slow):
     slow.pump(lambda: slow.pictures()[-1] == (b"400", b"216"))
     slow.press(b"q")
     slow.end(0)
+
+
+class FarSession(Session):
+    """A terminal that answers everything late, over a link that takes all bytes at once."""
+
+    late = 0.8  # s; no picture takes so long to make
+
+    def __init__(self, *words, **options):
+        self.due = []
+        self.together = self.reports = 0
+        super().__init__(*words, **options)
+
+    def pump(self, done, seconds=30.0):
+        deadline = time.monotonic() + seconds
+        while not done():
+            assert time.monotonic() < deadline, self.output[-400:]
+            if select.select([self.master], [], [], 0.01)[0]:
+                try:
+                    self.output += self.read()
+                except OSError:
+                    break
+            asked = re.findall(rb"\x1b\[5n|\x1b\[c", self.output)
+            for question in asked[self.answered :]:
+                self.due.append((time.monotonic() + self.late, question))
+            self.answered = len(asked)
+            self.together = max(self.together, sum(q == DSR for _, q in self.due))
+            while self.due and self.due[0][0] <= time.monotonic():
+                question = self.due.pop(0)[1]
+                os.write(self.master, b"\x1b[0n" if question == DSR else self.da1)
+
+
+ONE_AT_A_TIME = """
+import sys
+from tsplat import cli
+from tsplat.terminal.link import Link
+Link.far = False
+sys.exit(cli.main(["view", "--presenter", "halfblock", "--max-splats", "300"]))
+"""
+
+
+@pytest.mark.parametrize(("code", "more"), [(None, True), (("-c", ONE_AT_A_TIME), False)])
+def test_pictures_do_not_wait_for_answers_that_are_far(code, more, monkeypatch):
+    """Before one is answered others are sent, though never a heap; not so one at a time."""
+    monkeypatch.setenv("SSH_CONNECTION", "192.0.2.1 1 192.0.2.2 22")
+    if code is None:
+        session = FarSession("--presenter", "halfblock", "--max-splats", "300")
+    else:
+        session = FarSession(code=code)
+    session.pump(lambda: session.frames() >= 1 and not session.due)
+    session.together = 0
+    for _ in range(60):
+        session.press(b"j")
+        session.listen(0.05)
+    assert (session.together > 1) == more
+    assert session.together <= 9
+    session.press(b"q")
+    session.end(0)
+    session.close()
 
 
 FAILING = """

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from tsplat.viewer.pace import LEVELS, PREVIEW, SHORTEST, STALE_SECONDS, Pace
+from tsplat.viewer import pace as module
+from tsplat.viewer.pace import (
+    DEAR_SHORTEST,
+    LEVELS,
+    PREVIEW,
+    SHADES,
+    SHORTEST,
+    SLOW,
+    STALE_SECONDS,
+    Pace,
+)
 
 SIZE = 1000, 640
 FULL = SIZE[0] * SIZE[1]
@@ -16,10 +26,10 @@ class World:
     Frames are shown one after another; ``level`` of those shown last is what the tests look at.
     """
 
-    def __init__(self, fixed=0.0, full=0.010, encode=0.0, rate=1e9, fps=30.0, size=SIZE):
+    def __init__(self, fixed=0.0, full=0.010, encode=0.0, rate=1e9, fps=30.0, size=SIZE, far=False):
         self.fixed, self.full, self.encode, self.rate = fixed, full, encode, rate
         self.now = 100.0
-        self.pace = Pace(size, fps, lambda: self.now)
+        self.pace = Pace(size, fps, lambda: self.now, far)
 
     def show(self, frames=1, level=None):
         """Levels of ``frames`` frames."""
@@ -28,7 +38,7 @@ class World:
             chosen = self.pace.level if level is None else level
             width, height = self.pace.size(chosen)
             share = width * height / FULL
-            sent = round(width * height * 0.5)
+            sent = round(width * height * 0.5 * SHADES.get(self.pace.shades(chosen), 1.0))
             flight = sent / self.rate + 0.001
             self.pace.note(
                 chosen, self.fixed + self.full * share, self.encode * share, flight, sent
@@ -127,9 +137,67 @@ def test_a_still_picture_is_refined():
 
 
 def test_no_side_gets_too_short():
-    """Half blocks of 100x66 px are not made of 12x8."""
-    pace = Pace((100, 66), 30.0)
-    sizes = [pace.size(n) for n in range(len(pace._levels))]
-    assert len(sizes) > 1
-    assert min(map(min, sizes)) >= SHORTEST
+    """Half blocks of 100x66 px are not made of 12x8; where bytes are dear, of 13x9 at least."""
+    for far, shortest in ((False, SHORTEST), (True, DEAR_SHORTEST)):
+        pace = Pace((100, 66), 30.0, far=far)
+        sizes = [pace.size(n) for n in range(len(pace._levels))]
+        assert len(sizes) > 1
+        assert shortest <= min(map(min, sizes)) < 2 * shortest
     assert [Pace((1, 1), 30.0).size(0), Pace((40, 20), 30.0).finer(0)] == [(1, 1), None]
+
+
+def test_over_a_network_the_first_picture_is_small():
+    """The coarsest that one likes to look at: nothing is known of the link."""
+    pace = World(far=True).pace
+    assert pace.size(pace.level) == World().pace.size(len(LEVELS) - 1)
+    assert pace.shades(pace.level) is None
+
+
+@pytest.mark.parametrize("rate", [10e3, 25e3, 40e3])
+def test_dear_bytes_cost_shades(rate, monkeypatch):
+    """Where all shades would be too slow for motion there are fewer, and no fewer than needed."""
+    world = World(rate=rate, far=True)
+    level = world.show(30)[-1]
+    assert world.pace.shades(level) is not None
+    assert world.pace.load(level) <= SLOW
+    finer = world.pace.load(level - 1, flights=True)
+    assert finer > 0.8 * SLOW
+    monkeypatch.setattr(module, "SLOW", 100.0)
+    wrong = World(rate=rate, far=True)
+    assert wrong.pace.load(wrong.show(30)[-1]) > SLOW
+
+
+def test_only_a_link_costs_shades():
+    """Not a link that is fast enough, not a slow machine, and not a terminal on this one."""
+    for world in (
+        World(rate=125e3, far=True),
+        World(full=20.0, rate=125e3, far=True),
+        World(rate=10e3),
+    ):
+        assert {world.pace.shades(level) for level in world.show(30)} == {None}
+
+
+def test_dear_levels_are_whole_blocks():
+    """All of the picture is covered, by less than a block too much: cells end where blocks do."""
+    pace = Pace((100, 66), 30.0, far=True)
+    for level in range(len(pace._levels)):
+        (width, height), covered = pace.size(level), pace.covered(level)
+        if pace.shades(level) is None:
+            assert covered == (100, 66)
+            continue
+        block = covered[0] // width
+        assert covered == (width * block, height * block)
+        assert all(0 <= there - n < block for there, n in zip(covered, (100, 66), strict=True))
+
+
+def test_a_picture_for_a_slow_link_is_begun_late():
+    """As long before the link is free as making it takes; at once if that takes longer."""
+    world = World(full=0.1, rate=40e3, far=True)
+    level = world.show(20)[-1]
+    width, height = world.pace.size(level)
+    assert world.pace.head_start(level) == pytest.approx(0.1 * width * height / FULL, rel=0.5)
+    assert World(far=True).pace.head_start(0) is None
+    slow = World(full=20.0, rate=125e3, far=True)
+    assert slow.pace.head_start(slow.show(20)[-1]) is None
+    near = World(rate=40e3)
+    assert near.pace.head_start(near.show(20)[-1]) is None

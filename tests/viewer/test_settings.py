@@ -9,7 +9,7 @@ import pytest
 from tests.viewer.rules import FACTS, VIEW, changed, flat
 from tsplat.core.params import KNOBS, PRESETS
 from tsplat.viewer import settings
-from tsplat.viewer.settings import sections
+from tsplat.viewer.settings import Facts, sections
 from tsplat.viewer.text import width
 
 KNOBS_CHANGED = {f"look.params.{knob}" for knob in KNOBS}
@@ -31,7 +31,7 @@ CHANGES = {
     "depth bits": {"look.params.depth_bits"},
     "low-pass filter": {"look.params.low_pass"},
     "splat scale": {"look.edits.splat_scale"},
-    "opacity cut": {"look.edits.opacity_min"},
+    "opacity cut": {"look.edits.min_opacity"},
     "raw opacity": {"look.edits.raw_opacity"},
     "saturation": {"look.edits.saturation"},
     "background": {"look.background"},
@@ -181,7 +181,7 @@ def test_a_value_of_the_command_line_is_among_the_others():
 
 
 def test_reach_is_where_alpha_falls_to_the_threshold():
-    """exp(-s^2 / 2) of what is told is the threshold; at 0 there would be no end: a floor counts."""
+    """exp(-s^2 / 2) of what is told is the threshold; for 0 there is a floor."""
     row = next(r for _, rows in sections(VIEW, FACTS) for r in rows if "reach" in r.name)
     assert row.step is None
     for threshold in (1 / 255, 16 / 255):
@@ -211,3 +211,10 @@ def test_the_box_is_there_while_there_is_one():
     crop = view.look.edits.crop
     assert crop.low[0] == crop.high[0]
     assert crop.low[1:] == CROPPED.look.edits.crop.low[1:]
+
+
+def test_opacities_that_were_read_raw_are_not_taken_back_twice():
+    """There is no row for it then: the file is read so already."""
+    names = [[row.name for _, rows in sections(VIEW, Facts(read_raw=raw)) for row in rows]
+             for raw in (False, True)]  # fmt: skip
+    assert set(names[0]) - set(names[1]) == {"raw opacity"}

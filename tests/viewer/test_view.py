@@ -13,7 +13,7 @@ import time
 
 import pytest
 
-from tests.viewer.session import CELL, Session
+from tests.viewer.session import CELL, COLOR, Session
 from tsplat.core.camera import look_at
 from tsplat.io.cameras import camera_to_json
 
@@ -32,7 +32,7 @@ def test_keys_move_the_camera_and_q_gives_the_terminal_back(session):
     for key in (b"j", b"\x1b[A", b"+", b"u"):
         before = len(session.output)
         session.send(key)
-        assert CELL in session.output[before:]
+        assert COLOR in session.output[before:]
     assert b"demo" in session.output
     session.press(b"q")
     session.end(0)
@@ -101,7 +101,7 @@ def test_help_is_shown_and_left(session):
     assert b"upside up" in session.output
     before = len(session.output)
     session.send(b" ")
-    assert CELL in session.output[before:]
+    assert COLOR in session.output[before:]
     session.press(b"q")
     session.end(0)
 

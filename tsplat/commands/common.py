@@ -45,7 +45,7 @@ def edits(arguments: argparse.Namespace) -> Edits:
     crop = getattr(arguments, "crop", None)
     return Edits(
         splat_scale=getattr(arguments, "splat_scale", 1.0),
-        opacity_min=getattr(arguments, "opacity_min", 0.0),
+        min_opacity=getattr(arguments, "min_opacity", 0.0),
         saturation=getattr(arguments, "saturation", 1.0),
         crop=Box(*crop) if crop else None,
     )

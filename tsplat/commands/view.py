@@ -107,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
             view = view.playing(path)
         around = Around(
             registry.presenters, usable_backends(registry, scene, wanted), keeper,
-            partial(scene_cameras, arguments), verifier,
+            partial(scene_cameras, arguments), verifier, arguments.raw_opacity,
         )  # fmt: skip
         Viewer(screen, Engine(unedited, plan, look), view, around, pipeline=pipeline).run()
     return 1 if verifier is not None and verifier.broken else 0
@@ -192,7 +192,7 @@ def scene_words(arguments: argparse.Namespace, look: Look) -> list[str]:
     else:
         words += ["--set", settings]
     changes = look.edits
-    for name in ("splat_scale", "opacity_min", "saturation"):
+    for name in ("splat_scale", "min_opacity", "saturation"):
         if (value := getattr(changes, name)) != getattr(NOTHING, name):
             words += [f"--{name.replace('_', '-')}", repr(value)]
     if changes.crop is not None:

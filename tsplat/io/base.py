@@ -65,7 +65,7 @@ def sample_rows(total: int, keep: int) -> I64:
 
 
 def sampled(scene: Scene, keep: int | None) -> Scene:
-    """``keep`` of the Gaussians of a scene in memory, as a reader keeps them of a file; None: all."""
+    """``keep`` of the Gaussians of a scene in memory, as readers keep them of a file; None: all."""
     if keep is None or keep >= len(scene):
         return scene
     dropped = {**scene.dropped, SAMPLED: len(scene) - keep}

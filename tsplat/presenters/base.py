@@ -35,6 +35,7 @@ class Terminal:
     rows: int = 24
     cell_width: float = 10.0  # px
     cell_height: float = 20.0  # px
+    cell_told: bool = True  # False: nobody said how large a cell is, the two above are a guess
     colors: int = 1 << 24  # 1 << 24, 256, 16 or 2 (none, NO_COLOR): what SGR may show
     kitty: bool = False  # answered a kitty graphics query with OK
     iterm2: bool = False  # takes OSC 1337 File=

@@ -159,7 +159,7 @@ BLOCKS = Presenter(
     size=size,
     unsupported=unsupported,
     pixel=pixel,
-    samples=2,
+    samples=3,
     rank=15,
 )
 

@@ -60,7 +60,7 @@ BRAILLE = Presenter(
     size=size,
     unsupported=unsupported,
     pixel=lambda terminal: (terminal.cell_width / WIDE, terminal.cell_height / HIGH),
-    samples=2,
+    samples=3,
     rank=4,
 )
 

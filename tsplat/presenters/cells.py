@@ -217,16 +217,22 @@ def write(row: Index, column: Index, drawn: Drawn, colors: int) -> bytes:
 
 
 def _moves(row: Index, column: Index) -> Tokens:
-    """Cursor moves, [N, 3], the shortest: nothing to the next cell, CUF over a gap, CR LF and CUF
+    """Cursor moves, [N, 4], the shortest: nothing to the next cell, CUF over a gap, CR LF and CUF
     into the next row, CUP further. After the last column the cursor waits there for either.
     """
     down = np.diff(row, prepend=0)
-    gap = np.diff(column, prepend=0)
-    gap[1:] -= 1
+    gap = np.diff(column, prepend=-1) - 1
     gap = np.where(down > 0, column, gap)
+    moves = np.zeros((len(row), 4), np.uint32)
+    far = np.flatnonzero((down > 0) | (gap > 0))  # most cells are next to the one before
+    moves[far] = _far_moves(row[far], column[far], down[far], gap[far])
+    return moves
+
+
+def _far_moves(row: Index, column: Index, down: Index, gap: Index) -> Tokens:
     jumps = down > 1
     skips = ~jumps & (gap > 0)
-    moves = np.zeros((len(row), 3), np.uint32)
+    moves = np.zeros((len(row), 4), np.uint32)
     moves[down == 1, 0] = token("\r\n")
     escape = np.where(down == 1, token("\r\n" + CSI.decode()), token(CSI))
     moves[skips, 0] = escape[skips]
@@ -235,7 +241,8 @@ def _moves(row: Index, column: Index) -> Tokens:
     moves[jumps, 0] = token(CSI)
     moves[jumps, 1] = _numbers("%d", row[jumps] + 1)
     moves[jumps, 2] = np.where(column[jumps] > 0, _numbers(";%d", column[jumps] + 1), np.uint32(0))
-    return np.concatenate([moves, np.where(jumps, token("H"), 0).astype(np.uint32)[:, None]], 1)
+    moves[jumps, 3] = token("H")
+    return moves
 
 
 def _colored(drawn: Drawn, colors: int) -> list[Tokens]:

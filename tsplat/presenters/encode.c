@@ -73,18 +73,20 @@ typedef struct {
     int64_t weight, sum[3], square[3];
 } moments;
 
+/* Adds count pixels of a colour to a group; with a negative count, takes them away. */
+INLINE void add(const uint8_t *color, int64_t count, moments *m) {
+    m->weight += count;
+    for (int c = 0; c < 3; c++) {
+        int64_t sum = count * color[c];
+        m->sum[c] += sum;
+        m->square[c] += sum * color[c];
+    }
+}
+
 static void gather(const uint8_t *colors, const int64_t *counts, int32_t count,
                    const uint8_t *groups, moments *of) {
     memset(of, 0, sizeof *of * TSPLAT_PALETTE);
-    for (int32_t i = 0; i < count; i++) {
-        moments *m = of + groups[i];
-        m->weight += counts[i];
-        for (int c = 0; c < 3; c++) {
-            int64_t value = colors[3 * i + c];
-            m->sum[c] += counts[i] * value;
-            m->square[c] += counts[i] * value * value;
-        }
-    }
+    for (int32_t i = 0; i < count; i++) add(colors + 3 * i, counts[i], of + groups[i]);
 }
 
 /* The colour of a group, to the nearest; black where it has none. */
@@ -100,16 +102,18 @@ int32_t tsplat_adaptive_palette(const uint8_t *colors, const int64_t *counts, in
     int32_t n = 1;
     if (count < 1 || most < 1 || most > TSPLAT_PALETTE) return TSPLAT_REFUSED;
     memset(groups, 0, (size_t)count);
+    gather(colors, counts, count, groups, of);
     while (n < most) {
         double widest[TSPLAT_PALETTE];
         int axis[TSPLAT_PALETTE], into[TSPLAT_PALETTE], splits = 0;
-        gather(colors, counts, count, groups, of);
+        int64_t weight[TSPLAT_PALETTE], sum[TSPLAT_PALETTE]; /* before any colour moves */
         for (int g = 0; g < n; g++) {
             into[g] = -1;
             axis[g] = 0;
             for (int c = 0; c < 3; c++) {
-                double weight = (double)(of[g].weight ? of[g].weight : 1), sum = (double)of[g].sum[c];
-                double spread = (double)of[g].square[c] - sum * sum / weight;
+                double total = (double)of[g].sum[c];
+                double pixels = (double)(of[g].weight ? of[g].weight : 1);
+                double spread = (double)of[g].square[c] - total * total / pixels;
                 if (!c || spread > widest[g]) {
                     widest[g] = spread;
                     axis[g] = c;
@@ -125,14 +129,20 @@ int32_t tsplat_adaptive_palette(const uint8_t *colors, const int64_t *counts, in
             into[best] = n + splits++;
         }
         if (!splits) break;
+        for (int g = 0; g < n; g++) {
+            weight[g] = of[g].weight;
+            sum[g] = of[g].sum[axis[g]];
+        }
         for (int32_t i = 0; i < count; i++) {
-            int g = groups[i], c = axis[g];
-            if (into[g] >= 0 && colors[3 * i + c] * of[g].weight > of[g].sum[c])
-                groups[i] = (uint8_t)into[g];
+            const uint8_t *color = colors + 3 * i;
+            int g = groups[i];
+            if (into[g] < 0 || color[axis[g]] * weight[g] <= sum[g]) continue;
+            groups[i] = (uint8_t)into[g];
+            add(color, -counts[i], of + g);
+            add(color, counts[i], of + into[g]);
         }
         n += splits;
     }
-    gather(colors, counts, count, groups, of);
     for (int g = 0; g < n; g++) {
         round_mean(of + g, middle + 3 * g);
         for (int c = 0; c < 3; c++)
@@ -150,23 +160,24 @@ int32_t tsplat_adaptive_palette(const uint8_t *colors, const int64_t *counts, in
 /* --- pairs of colours. Sums of products of bytes are exact in floats: below 2^24 */
 
 typedef struct {
-    int32_t r[TSPLAT_PALETTE], g[TSPLAT_PALETTE], b[TSPLAT_PALETTE], size[TSPLAT_PALETTE];
+    float r[TSPLAT_PALETTE], g[TSPLAT_PALETTE], b[TSPLAT_PALETTE], size[TSPLAT_PALETTE];
 } planes;
 
 static void to_planes(const uint8_t *palette, int32_t k, planes *to) {
     for (int32_t i = 0; i < k; i++) {
         const uint8_t *color = palette + 3 * i;
         to->r[i] = color[0], to->g[i] = color[1], to->b[i] = color[2];
-        to->size[i] = color[0] * color[0] + color[1] * color[1] + color[2] * color[2];
+        to->size[i] = (float)(color[0] * color[0] + color[1] * color[1] + color[2] * color[2]);
     }
 }
 
 INLINE void nearest(const uint8_t *colors, int32_t count, const planes *p, int32_t k,
                     uint8_t *first) {
     for (int32_t i = 0; i < count; i++, colors += 3) {
-        int32_t r = 2 * colors[0], g = 2 * colors[1], b = 2 * colors[2], least = INT32_MAX;
+        float r = 2 * colors[0], g = 2 * colors[1], b = 2 * colors[2];
+        int32_t least = INT32_MAX;
         for (int32_t j = 0; j < k; j++) { /* the row below the distance: of equal ones the first */
-            int32_t key = (p->size[j] - r * p->r[j] - g * p->g[j] - b * p->b[j]) * 256 + j;
+            int32_t key = (int32_t)(p->size[j] - r * p->r[j] - g * p->g[j] - b * p->b[j]) * 256 + j;
             least = key < least ? key : least;
         }
         first[i] = (uint8_t)least;
@@ -177,16 +188,16 @@ INLINE void partners(const uint8_t *colors, int32_t count, const planes *p, int3
                      const uint8_t *first, uint8_t *second) {
     const float linear = grain, square = 1 + grain;
     for (int32_t i = 0; i < count; i++, colors += 3) {
-        int32_t o = first[i], r0 = p->r[o], g0 = p->g[o], b0 = p->b[o];
-        int32_t er = colors[0] - r0, eg = colors[1] - g0, eb = colors[2] - b0;
+        int32_t o = first[i];
+        float r0 = p->r[o], g0 = p->g[o], b0 = p->b[o];
+        float er = colors[0] - r0, eg = colors[1] - g0, eb = colors[2] - b0;
         int32_t gains[TSPLAT_PALETTE] = {0}, most = 0;
         for (int32_t j = 0; j < k; j++) {
-            int32_t r = p->r[j] - r0, g = p->g[j] - g0, b = p->b[j] - b0;
-            int32_t along = er * r + eg * g + eb * b, length = r * r + g * g + b * b;
-            float a = (float)along, l = (float)length;
-            float inside = square * (a * a / (length ? l : 1)) - linear * a;
-            float gain = along >= length ? 2 * a - l : inside;
-            gain = along > 0 ? gain : 0;
+            float r = p->r[j] - r0, g = p->g[j] - g0, b = p->b[j] - b0;
+            float a = er * r + eg * g + eb * b, l = r * r + g * g + b * b;
+            float inside = square * (a * a / (l > 0 ? l : 1)) - linear * a;
+            float gain = a >= l ? 2 * a - l : inside;
+            gain = a > 0 ? gain : 0;
             gain = gain > 0 ? gain : 0;
             memcpy(gains + j, &gain, sizeof gain); /* floats from 0 on are in order as numbers, too */
             most = gains[j] > most ? gains[j] : most;

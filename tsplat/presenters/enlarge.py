@@ -50,3 +50,8 @@ def _means(values: Any, samples: int) -> Any:
             total += values[y::samples, x::samples]
     total /= samples**2
     return total
+
+
+def cropped(frame: Frame, width: int, height: int) -> Frame:
+    """The top left ``width`` x ``height`` px of ``frame``; without its depth."""
+    return Frame(frame.rgb[:height, :width].copy(), frame.transmittance[:height, :width].copy())

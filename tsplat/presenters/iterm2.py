@@ -26,36 +26,26 @@ KEPT_FPS = 10.0  # iTerm2 keeps all pictures that it was sent: half a megabyte a
 
 
 def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
-    """The frame as a JPEG file; b"" if it looks like ``previous``.
-
-    Width and height are the picture's own in px, so that preserveAspectRatio makes no difference
-    and is left out.
-    """
+    """The frame as a JPEG file; b"" if it looks like ``previous``."""
     image = pixels(frame)
     if not changed(image, previous):
         return b""
-    return _sequence(_jpeg(image, _quality(terminal)), frame.width, frame.height, b"")
+    return _exactly(_jpeg(image, _quality(terminal)), frame, terminal)
 
 
 def fill(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
-    """The frame scaled by the terminal.
-
-    The aspect may be off by a rounded px, which is not to leave a gap: preserveAspectRatio=0.
-    Konsole has that the other way round.
-    """
+    """The frame scaled by the terminal."""
     image = pixels(frame)
     if not changed(image, previous):
         return b""
-    keep = b"1" if terminal.name.startswith("Konsole") else b"0"
-    file = _jpeg(image, _quality(terminal))
-    return _sequence(file, *terminal.pixels, b";preserveAspectRatio=" + keep)
+    return _scaled(_jpeg(image, _quality(terminal)), terminal)
 
 
 def rest(frame: Frame, terminal: Terminal) -> bytes:
     """The frame as a PNG file, exactly; over a network as a JPEG file of a third of that."""
     image = pixels(frame)
     file = _jpeg(image, REST_QUALITY) if terminal.remote else png(image)
-    return _sequence(file, frame.width, frame.height, b"")
+    return _exactly(file, frame, terminal)
 
 
 def fps(terminal: Terminal) -> float:
@@ -83,17 +73,37 @@ def _jpeg(image: U8, quality: int) -> bytes:
     return file.getvalue()
 
 
-def _sequence(file: bytes, width: int, height: int, more: bytes) -> bytes:
-    """``file`` shown at ``width`` x ``height`` px.
+def _exactly(file: bytes, frame: Frame, terminal: Terminal) -> bytes:
+    """``file`` pixel by pixel: what is as large as it is needs no preserveAspectRatio.
+
+    Where nobody said how large a cell is, over the cells that it was made for.
+    """
+    if not terminal.cell_told:
+        return _scaled(file, terminal)
+    return _sequence(file, b"%dpx" % frame.width, b"%dpx" % frame.height, b"")
+
+
+def _scaled(file: bytes, terminal: Terminal) -> bytes:
+    """``file`` over all rows but the last.
+
+    The aspect may be off by a rounded px, which is not to leave a gap: preserveAspectRatio=0.
+    Konsole has that the other way round.
+    """
+    keep = b"1" if terminal.name.startswith("Konsole") else b"0"
+    if terminal.cell_told:
+        width, height = (b"%dpx" % n for n in terminal.pixels)
+    else:
+        width, height = b"%d" % terminal.columns, b"%d" % max(1, terminal.rows - 1)
+    return _sequence(file, width, height, b";preserveAspectRatio=" + keep)
+
+
+def _sequence(file: bytes, width: bytes, height: bytes, more: bytes) -> bytes:
+    """``file`` shown at ``width`` x ``height``.
 
     ``size`` is there because VS Code shows no picture without it. doNotMoveCursor keeps Konsole
     from scrolling; who does not know it ignores it.
     """
-    keys = b"inline=1;size=%d;width=%dpx;height=%dpx;doNotMoveCursor=1" % (
-        len(file),
-        width,
-        height,
-    )
+    keys = b"inline=1;size=%d;width=%s;height=%s;doNotMoveCursor=1" % (len(file), width, height)
     return OSC + b"1337;File=" + keys + more + b":" + b2a_base64(file, newline=False) + BEL
 
 

@@ -43,8 +43,12 @@ def encode(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
 
 def fill(frame: Frame, terminal: Terminal, previous: Frame | None) -> bytes:
     """The frame scaled by the terminal to all columns, and all rows but the last."""
-    area = terminal.columns, max(1, terminal.rows - 1)
-    return _encode(frame, terminal, previous, area, TMUX_ID, _hint(terminal))
+    return _encode(frame, terminal, previous, _area(terminal), TMUX_ID, _hint(terminal))
+
+
+def _area(terminal: Terminal) -> tuple[int, int]:
+    """All columns, and all rows but the last."""
+    return terminal.columns, max(1, terminal.rows - 1)
 
 
 def _hint(terminal: Terminal) -> bytes:
@@ -71,11 +75,9 @@ def _encode(
         return b""
     keys, data = transmission(image, terminal)
     if terminal.multiplexer:
-        columns, rows = _cells(frame, terminal)
-        if area is not None:
-            columns, rows = (min(n, len(MARKS)) for n in area)
+        columns, rows = _marked(*area) if area else _cells(frame, terminal)
         keys = b"a=T,U=1,i=%d,c=%d,r=%d,q=2,%s%s" % (tmux_id, columns, rows, hint, keys)
-        there = previous is not None and _cells(previous, terminal) == (columns, rows)
+        there = previous is not None and _shown(previous, terminal) == (columns, rows)
         text = b"" if there else cells(columns, rows, tmux_id)
         return b"".join(map(through_tmux, in_chunks(keys, data))) + text
     scaled = b"" if area is None else b"c=%d,r=%d," % area
@@ -89,6 +91,18 @@ def _cells(frame: Frame, terminal: Terminal) -> tuple[int, int]:
         min(ceil(frame.width / terminal.cell_width), terminal.columns, len(MARKS)),
         min(ceil(frame.height / terminal.cell_height), max(1, terminal.rows - 1), len(MARKS)),
     )
+
+
+def _shown(frame: Frame, terminal: Terminal) -> tuple[int, int]:
+    """Columns and rows where ``frame`` is shown: all of them if it has fewer px than those."""
+    if (frame.width, frame.height) == size(terminal):
+        return _cells(frame, terminal)
+    return _marked(*_area(terminal))
+
+
+def _marked(columns: int, rows: int) -> tuple[int, int]:
+    """So many that there are marks for them."""
+    return min(columns, len(MARKS)), min(rows, len(MARKS))
 
 
 def size(terminal: Terminal) -> tuple[int, int]:

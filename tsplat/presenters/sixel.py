@@ -34,9 +34,11 @@ EMPTY = 0x3F  # "?": none of the six
 COLORS = 256  # at most, whatever the terminal has: a register is a byte
 WIDTH_MAX = 9999  # px; a run's length then has four digits at most
 # While the picture moves: colours, and by how much the error of a pixel, in squared levels, may
-# grow so that a run goes on. The demo scene at 640x360: 108 kB at 36.4 dB, remote 64 kB at 32.5.
-TOLERANCE = 100
-REMOTE_COLORS, REMOTE_TOLERANCE = 64, 200
+# grow so that a run goes on. The demo scene at 640x360: 108 kB at 36.4 dB, remote 64 kB at 32.3.
+# Where a pixel covers four or more each way, that costs more likeness than half the colours do.
+NEAR, NEAR_COARSE = (COLORS, 100), (COLORS // 2, 200)
+REMOTE, REMOTE_COARSE = (64, 200), (32, 400)
+COARSE = 4
 
 Tokens = NDArray[np.uint64]  # up to eight characters each, the first in the lowest byte, rest 0
 
@@ -86,16 +88,16 @@ def _encode(
 ) -> bytes:
     """``frame`` shown at ``width`` x ``height`` px, each of its pixels once or more."""
     image = pixels(frame)[:height, :width]
-    downs, columns = edges(len(image), height), edges(image.shape[1], width)
+    downs, columns = _row_edges(len(image), height), edges(image.shape[1], width)
     changed = changed_rows(image, previous)
     if changed is None:
         return b""
     top, end = _strip(int(downs[changed.start]), int(downs[changed.stop]), height, terminal)
     source = np.repeat(np.arange(len(image), dtype=np.int32), np.diff(downs))[top:end]
     first = int(source[0])
-    colors, tolerance = COLORS, TOLERANCE
-    if terminal.remote:
-        colors, tolerance = REMOTE_COLORS, REMOTE_TOLERANCE
+    coarse = height >= COARSE * len(image)
+    ways = (REMOTE, REMOTE_COARSE) if terminal.remote else (NEAR, NEAR_COARSE)
+    colors, tolerance = ways[coarse]
     picture = distinct(image[first : source[-1] + 1])
     palette = percents(picture, min(colors, terminal.sixel_registers))
     rows = steady(picture, levels(palette), tolerance)
@@ -103,13 +105,29 @@ def _encode(
     return move + sixel(palette, rows, columns, source - np.int32(first))
 
 
+def _row_edges(few: int, many: int) -> I64:
+    """As :func:`edges`, but with bands where it can be: then a band has less to say.
+
+    Of rows of 8 px or more a band has one, of rows of 4 or more its upper and its lower half each
+    have one. No row is moved by more than half of it, so its middle stays.
+    """
+    rows = edges(few, many)
+    for step in (BAND, BAND // 2):
+        if many >= (step + step // 3) * few:
+            rows = (rows + step // 2) // step * step
+            rows[-1] = many
+            break
+    return rows
+
+
 def _strip(top: int, end: int, height: int, terminal: Terminal) -> tuple[int, int]:
     """Rows to send if those from ``top`` to ``end`` changed, of ``height``.
 
     They begin with a cell. They end with a cell and a band, or with the picture, so that no cell is
-    drawn in part: what a terminal makes of its rest is its own business.
+    drawn in part: what a terminal makes of its rest is its own business. tmux, which draws again
+    from pictures that it keeps, gets whole ones.
     """
-    if not float(terminal.cell_height).is_integer():
+    if terminal.multiplexer or not float(terminal.cell_height).is_integer():
         return 0, height
     step = lcm(BAND, int(terminal.cell_height))
     return top - top % step, min(height, end + -end % step)

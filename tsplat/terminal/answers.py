@@ -156,6 +156,7 @@ def parse_answers(
     if mux == "tmux":
         sixel = sixel and _shows_sixel(around, features)
     terminal = Terminal(
+        cell_told=False,
         colors=_colors(answers, said, mux, environ),
         kitty=KITTY_ID in kitty_ok,
         iterm2=not mux and _has_iterm2(answers, said, environ),
@@ -251,10 +252,14 @@ def _sized(terminal: Terminal, winsize: Winsize, told: tuple[float, float] | Non
     rows, columns, xpixel, ypixel = winsize
     rows, columns = rows or terminal.rows, columns or terminal.columns
     width, height = told or (terminal.cell_width, terminal.cell_height)
-    if xpixel >= 2 * columns and ypixel >= 2 * rows:  # web ptys often say 0, some say cells
+    known = xpixel >= 2 * columns and ypixel >= 2 * rows  # web ptys often say 0, some say cells
+    if known:
         area = xpixel / columns, ypixel / rows
         width, height = (min(told[0], area[0]), min(told[1], area[1])) if told else area
-    return replace(terminal, rows=rows, columns=columns, cell_width=width, cell_height=height)
+    return replace(
+        terminal, rows=rows, columns=columns, cell_width=width, cell_height=height,
+        cell_told=terminal.cell_told or known or told is not None,
+    )  # fmt: skip
 
 
 def _with_answers(winsize: Winsize, answers: bytes, environ: Mapping[str, str]) -> Winsize:

@@ -13,7 +13,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-FAR = 0.010  # s of latency from which a terminal counts as far; on this machine it takes less
+FAR = 0.020  # s of latency from which a terminal counts as far; on this machine it takes less
 AHEAD = 0.015  # s before the bottleneck runs dry the next frame may go: timers are not exact
 PACED = 0.050  # s of bytes that are given to it at a time: what a key may find in its way
 PIECE_SECONDS = 0.01  # s of bytes that are worth writing
@@ -49,14 +49,13 @@ class Link:
     """Frames on their way, and when there is room for another."""
 
     def __init__(self) -> None:
-        self.latency: float | None = None  # s, the shortest way there and back seen
+        self.latency: float | None = None  # s, the shortest way there and back; None: unknown
         self.remote = False  # known to be far, whatever the latency
         self._flying: deque[_Frame] = deque()
         self._answered = -math.inf  # the last answer
         self._samples: deque[tuple[int, float]] = deque(maxlen=SAMPLES)  # bytes, s
-        self._drained = (
-            -math.inf
-        )  # when the bottleneck has sent what it was given, if ``rate`` is right
+        # When the bottleneck has sent what it was given, if ``rate`` is right
+        self._drained = -math.inf
 
     @property
     def far(self) -> bool:
@@ -104,12 +103,14 @@ class Link:
             return None
         frame = self._flying.popleft()
         seconds = now - frame.begun
-        self.pinged(seconds)
+        if self.latency is not None:  # frames alone do not tell it from their own length
+            self.pinged(seconds)
         free = frame.begun + (self.latency or 0.0) if self.far else frame.begun
         occupied = max(now - max(free, self._answered), SHORTEST)
         self._answered = now
         if self.far and self._starved(frame, now):
             occupied /= GROWTH
+            self._samples.clear()  # they say what it was
         if frame.size >= LEAST:
             self._samples.append((frame.size, occupied))
         if self.rate:  # what is under way by now is on its way to be answered, or still waits
@@ -122,8 +123,8 @@ class Link:
 
         At the right rate it has ``PACED`` s to do when the end of a frame is written.
         """
-        held_back = frame.ended - frame.begun > PACED
-        return held_back and now - frame.ended - (self.latency or 0.0) < PACED / 2
+        held_back = PACED < frame.ended - frame.begun < math.inf
+        return held_back and now - frame.ended - (self.latency or 0.0) < PIECE_SECONDS
 
     def lost(self) -> None:
         """No answers come to what is under way, and nobody knows what has become of it."""
@@ -137,8 +138,10 @@ class Link:
         """Bytes written and not answered."""
         return sum(frame.written for frame in self._flying)
 
-    def wait(self, now: float) -> float:
+    def wait(self, now: float, more: int = 0) -> float:
         """Seconds until another frame may go; infinite: not before an answer.
+
+        ``more`` bytes are still to be written before it.
 
         It may when the bottleneck is about to have nothing to do. If answers fail to come, no more
         than fits into the way, and a frame, is under way.
@@ -148,10 +151,12 @@ class Link:
         rate = self.rate
         if not self.far or not rate or self.latency is None:
             return math.inf
+        if len(self._flying) > len(self._samples):  # the more is known, the more may go
+            return math.inf
         frame = self.under_way / len(self._flying)
         if self.under_way > rate * (self.latency + AHEAD) + frame:
             return math.inf
-        return max(0.0, self._drained - AHEAD - now)
+        return max(0.0, max(self._drained, now) + more / rate - AHEAD - now)
 
     def room(self, now: float) -> float:
         """Bytes that may be written now, so that what follows can still be taken back."""

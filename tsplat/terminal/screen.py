@@ -55,7 +55,8 @@ PATIENCE_SECONDS = 20.0  # and of one that did: the line is slow, or the network
 BURST_SECONDS = 0.01  # what ``max_rate`` allows in that time goes at once
 PIECE = 256  # bytes; a tty that can be written to takes so many without a long wait
 LEAVE_SECONDS = 0.15  # for what is still under way when we leave
-NUDGE_SECONDS = 0.02
+BUSY_SECONDS = 3.0  # likewise, of a terminal that has answered before: it will, when it gets to it
+NUDGES_SECONDS = 0.02, 0.1, 0.5, 2.0  # the later ones for a terminal that has no time to draw
 GIVE_UPS = 3  # unanswered frames in a row before we stop to ask
 
 _DEADLY = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
@@ -130,7 +131,7 @@ class Screen:
         self.link = Link()
         self.flights: deque[Flight] = deque()  # of frames acknowledged, until somebody takes them
         self._to_tell = False  # a tracked frame was drawn, and no "ready" has come since
-        self._nudge_at: float | None = None
+        self._nudges: deque[float] = deque()  # s, monotonic, when something harmless is sent
         self._patient: int | None = None  # writes to it do not block
         self._rest: deque[memoryview] = deque()  # output that the tty has not taken yet
         self._free_at = 0.0  # s, monotonic: when ``max_rate`` lets more of it go
@@ -244,9 +245,10 @@ class Screen:
         self._rest.clear()
         undo += END_UPDATE + STRING_END + self.cleanup + self._undone()
         undo += PLAIN + SHOW_CURSOR + LEAVE_ALTERNATE
+        seconds = BUSY_SECONDS if self._answered and self._answering else LEAVE_SECONDS
         try:
-            if device.write_all(self._writable, undo + DA1, LEAVE_SECONDS) and self._answering:
-                device.read_answers(self._in, LEAVE_SECONDS)  # else the shell would get them
+            if device.write_all(self._writable, undo + DA1, seconds) and self._answering:
+                device.read_answers(self._in, seconds)  # else the shell would get them
         except OSError:
             pass  # the terminal is gone
         finally:
@@ -427,13 +429,14 @@ class Screen:
         else:
             self._queue.append(Event("ready"))
             self._send(data)
-        # kitty 0.48 shows a window's first picture only when something follows after a while
-        self._nudge_at = time.monotonic() + NUDGE_SECONDS if self.terminal.kitty else None
+        # kitty 0.48 shows a window's first picture only when something follows once it has drawn
+        now = time.monotonic()
+        self._nudges = deque(now + s for s in NUDGES_SECONDS if self.terminal.kitty)
 
     @property
     def busy(self) -> bool:
         """Whether a tracked frame sent now would only queue up behind those on their way."""
-        return bool(self._rest) or self._free_in > 0
+        return bool(self._rest) or self.free_in > 0
 
     @property
     def far(self) -> bool:
@@ -446,12 +449,13 @@ class Screen:
         return self._unanswered > 0
 
     @property
-    def _free_in(self) -> float:
-        """Seconds until those on their way do not matter any more, at most."""
+    def free_in(self) -> float:
+        """Seconds until another tracked frame may go, as far as is known; infinite at worst."""
         if not self._unanswered:
             return 0.0
         now = time.monotonic()
-        return max(0.0, min(self._sent + self._limit - now, self.link.wait(now)))
+        wait = self.link.wait(now, sum(map(len, self._rest)))
+        return max(0.0, min(self._sent + self._limit - now, wait))
 
     @property
     def _limit(self) -> float:
@@ -480,11 +484,11 @@ class Screen:
 
     def _wait(self, end: float | None) -> None:
         """Until input, a signal, ``end`` or the next thing to do by the clock."""
-        ends = [t for t in (end, self._nudge_at) if t is not None]
+        ends = [*self._nudges, *([] if end is None else [end])]
         if self._unanswered:
             ends.append(self._sent + self._limit)
             if self._to_tell and not self._rest:
-                ends.append(time.monotonic() + self._free_in)
+                ends.append(time.monotonic() + self.free_in)
         if self._decoder.pending:
             ends.append(self._heard + ESCAPE_SECONDS)
         held_back = bool(self._rest) and time.monotonic() < self._held_until
@@ -568,8 +572,9 @@ class Screen:
         elif self._to_tell and not self.busy:
             self._to_tell = False
             self._queue.append(Event("ready"))
-        if self._nudge_at is not None and now >= self._nudge_at:
-            self._nudge_at = None
+        if self._nudges and now >= self._nudges[0]:
+            while self._nudges and now >= self._nudges[0]:
+                self._nudges.popleft()
             self._send(PLAIN)
 
     def _deal_with_notes(self) -> None:

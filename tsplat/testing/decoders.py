@@ -267,7 +267,8 @@ def iterm2(data: bytes, terminal: Terminal) -> Decoded:
     Also demanded: inline=1, or it is a download; size in bytes, or VS Code shows nothing; width and
     height in px as the file has them, so that nothing is scaled, or those of all rows but the last
     and preserveAspectRatio=0 (to Konsole 1: it has them the other way round), so that nothing is
-    left out; doNotMoveCursor=1, or Konsole scrolls.
+    left out; both in cells where nobody said how large one is; doNotMoveCursor=1, or Konsole
+    scrolls.
     """
     faults: list[str] = []
     canvas = _Canvas()
@@ -280,6 +281,12 @@ def iterm2(data: bytes, terminal: Terminal) -> Decoded:
             wanted["preserveAspectRatio"] = "1" if konsole else "0"
         wanted["width"] = f"{picture.shape[1]}px"
         wanted["height"] = f"{len(picture)}px"
+        if not terminal.cell_told:
+            wanted["width"], wanted["height"] = (
+                f"{terminal.columns}",
+                f"{max(1, terminal.rows - 1)}",
+            )
+            picture = _scaled(picture, *terminal.pixels)
         for key, value in wanted.items():
             if keys.get(key) != value:
                 faults.append(f"{key}: expected {value}, got {keys.get(key, 'nothing')}")

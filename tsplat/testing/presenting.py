@@ -157,6 +157,7 @@ def terminals(draw: st.DrawFn) -> Terminal:
         glyphs=draw(st.sampled_from(("halves", "quadrants", "sextants", "octants"))),
         draws_blocks=True,
         synchronized=True,
+        cell_told=draw(st.booleans()),
         remote=draw(st.booleans()),
         name=draw(st.sampled_from(("", "Konsole 26.08.2", "kitty(0.48.2)"))),
     )

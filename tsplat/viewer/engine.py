@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from tsplat.core.camera import Camera
 from tsplat.core.errors import TsplatError, printable
 from tsplat.core.types import Scene
 from tsplat.core.workspace import Workspace
 from tsplat.edits import Edits, edited
-from tsplat.plan import Plan, make_plan
+from tsplat.plan import Plan, Rendered, make_plan
 from tsplat.viewer.look import Look
 
 
@@ -31,6 +32,7 @@ class Engine:
         self._edited: tuple[Edits, Scene] = look.edits, edited(scene, look.edits)
         self._last = Prepared(self._edited[1], plan, look)
         self._refused: tuple[object, str] = None, ""  # of a look that could not be had, and why
+        self._drawn: Prepared | None = None  # what has drawn a picture
         self.workspace = Workspace(plan.threads)
 
     @property
@@ -52,6 +54,27 @@ class Engine:
     def prepared_last(self) -> Prepared:
         """What drew the last picture."""
         return self._last
+
+    def run(self, look: Look, camera: Camera) -> tuple[Prepared, Rendered]:
+        """The picture of ``look``, or of the last look that could be drawn, and what drew it.
+
+        Raises:
+            Exception: a backend's, if there is no other look to fall back on.
+        """
+        prepared = self.prepared(look)
+        try:
+            rendered = prepared.plan.run(prepared.scene, camera, self.workspace)
+        except Exception as error:  # a backend is a plugin, and may raise any
+            last = self._drawn
+            if last is None or last.plan is prepared.plan:
+                raise
+            names = "+".join(dict.fromkeys(prepared.plan.backends.values()))
+            why = f"{names} failed: {printable(error) or type(error).__name__}"
+            self._last, self._refused = last, (_key(look), why)
+            self.workspace = Workspace(last.plan.threads)  # whatever is in the other one
+            return self.run(look, camera)
+        self._drawn = self._last
+        return prepared, rendered
 
     def prepared(self, look: Look) -> Prepared:
         """What draws ``look``; the last one that could be had, with the reason, if it cannot."""

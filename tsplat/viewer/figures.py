@@ -14,6 +14,9 @@ from tsplat.presenters.base import Terminal
 from tsplat.viewer.look import Look
 from tsplat.viewer.pace import Link
 
+LINKED = 2000
+"""Bytes of a frame from which it says something about the link's rate."""
+
 
 @dataclass(frozen=True, eq=False)
 class Shown:
@@ -34,8 +37,8 @@ class Shown:
     latency: float | None  # s from input to the terminal's answer
 
 
-def status(shown: Shown) -> list[str]:
-    """Parts of the status line, the most important first."""
+def status(shown: Shown, panel: bool = False) -> list[str]:
+    """Parts of the status line, the most important first; of keys those that an open panel has."""
     rendered, plan = shown.rendered, shown.plan
     names = "+".join(dict.fromkeys(plan.backends.values()))
     parts = [shown.scene.name]
@@ -49,7 +52,7 @@ def status(shown: Shown) -> list[str]:
         f"{shown.frames:.0f} fps" if shown.frames else "",
         f"{rendered.seconds['total'] * 1e3:.1f} ms {names} x{plan.threads}",
         f"{shown.presenter} {_size(shown)}",
-        "? keys  Tab settings",
+        "arrows set  Tab closes" if panel else "? keys  Tab settings",
         f"{shown.encode * 1e3:.1f} ms {shown.sent / 1e3:.0f} kB",
         _link(shown.link) if shown.link else "",
     ]
@@ -123,7 +126,9 @@ def _size(shown: Shown) -> str:
 
 
 def _link(link: Link) -> str:
-    return f"{link.seconds * 1e3:.0f} ms {bits(link.rate)}"
+    """The rate only of frames that take the link some time, not of what goes through memory."""
+    told = f" {bits(link.rate)}" if link.rate * link.seconds > LINKED else ""
+    return f"{link.seconds * 1e3:.0f} ms{told}"
 
 
 def bits(rate: float) -> str:

@@ -7,6 +7,7 @@ rate allows (:mod:`tsplat.viewer.pace`); when it rests, all.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +20,7 @@ from tsplat.core.types import Frame
 from tsplat.plan import Rendered
 from tsplat.plugins import ask
 from tsplat.presenters.base import Presenter, Terminal, changed, pixels, sampling
-from tsplat.presenters.enlarge import averaged, enlarged
+from tsplat.presenters.enlarge import averaged, cropped, enlarged
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
 from tsplat.viewer.controls import DOUBLE_SECONDS, View, moves, pointed
 from tsplat.viewer.engine import Engine, Prepared
@@ -53,6 +54,7 @@ class Picture:
     view: View
     level: int  # of Pace; 0 has all pixels
     size: tuple[int, int]  # px
+    covered: tuple[int, int]  # px of the full size that they are repeated to, the least beyond it
     shades: int | None  # of each channel; None: all
     terminal: Terminal
     presenter: Presenter
@@ -79,6 +81,7 @@ class Encoded:
 
     payload: bytes
     seconds: float
+    begins: bool = False  # in a raster of its own: the next ones say only what changes in it
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,7 @@ class Around:
     keeper: Keeper
     cameras: Callable[[], Sequence[Camera]]  # of the scene's file; CameraError if there is none
     verifier: Verifier | None = None
+    read_raw: bool = False  # with --raw-opacity
 
 
 @dataclass
@@ -285,7 +289,7 @@ class Viewer:
             drawn, encoded = sent
             if drawn.picture.heard is not None:
                 self._latency = time.monotonic() - drawn.picture.heard
-            if drawn.picture.rests:  # tells nothing of moving ones
+            if drawn.picture.rests or encoded.begins:  # tells nothing of moving ones
                 continue
             flight = flight or Flight(len(encoded.payload), 0.0, 0.0)
             self._pace.note(
@@ -411,14 +415,20 @@ class Viewer:
         asked = self._asked
         if asked is None or not (self._pipeline.busy or self._screen.busy or self._view.going):
             return 0.0
-        return asked.begun + self._pace.interval(level)
+        head_start = self._pace.head_start(level)
+        if head_start is None:
+            return asked.begun + self._pace.interval(level)
+        if self._pipeline.busy:
+            return math.inf  # that goes first
+        free = time.monotonic() + self._screen.free_in
+        return max(asked.begun + self._pace.period, free - head_start)
 
     def _timeout(self) -> float | None:
         """Seconds until there is something to do without an event; idle costs nothing."""
         now, level = time.monotonic(), self._level()
         ends = [self._heads.until] if self._heads.notice else []
         if level is not None:
-            ends.append(self._due(level))
+            ends += [due for due in [self._due(level)] if due < math.inf]  # else an event comes
         elif self._holding and not self._covered:
             ends.append(now + FIRST_SECONDS)
         elif self._covered or self._pipeline.busy or self._screen.busy:
@@ -462,8 +472,8 @@ class Viewer:
         self._heard = None if fresh else self._heard
         rests = level == 0 and self._presenter.rest is not None and not self._moving
         self._asked = Picture(
-            self._view, level, self._pace.size(level), self._pace.shades(level), self._terminal,
-            self._presenter, now, heard, rests,
+            self._view, level, self._pace.size(level), self._pace.covered(level),
+            self._pace.shades(level), self._terminal, self._presenter, now, heard, rests,
         )  # fmt: skip
         self._pipeline.ask(self._asked)
 
@@ -475,12 +485,15 @@ class Viewer:
         full = picture.presenter.size(picture.terminal)
         pixel = picture.presenter.pixel(picture.terminal)
         samples = 1 if picture.level else sampling(picture.presenter, picture.terminal)
-        camera = picture.view.camera(full, pixel).resized(*(n * samples for n in picture.size))
-        prepared = self._engine.prepared(look)
-        rendered = prepared.plan.run(prepared.scene, camera, self._engine.workspace)
+        repeated = picture.presenter.fill is None and picture.size != full
+        camera = picture.view.camera(full, pixel)
+        if repeated:
+            camera = replace(camera, width=picture.covered[0], height=picture.covered[1])
+        camera = camera.resized(*(n * samples for n in picture.size))
+        prepared, rendered = self._engine.run(look, camera)
         frame = averaged(rendered.frame.over(look.background), samples)
-        if picture.presenter.fill is None and picture.size != full:
-            frame = enlarged(frame, *full)
+        if repeated:
+            frame = cropped(enlarged(frame, *picture.covered), *full)
         elif frame.rgb is rendered.frame.rgb:
             frame = Frame(frame.rgb.copy(), frame.transmittance)
         kept = rendered.frame
@@ -497,8 +510,16 @@ class Viewer:
         presenter, terminal = picture.presenter, picture.terminal
         few = presenter.fill is not None and picture.size != presenter.size(terminal)
         encode = presenter.fill if few and presenter.fill is not None else presenter.encode
+        begins = False
         if picture.shades is not None:
-            drawn.frame = shaded(drawn.frame, picture.shades, before.frame if before else None)
+            if presenter.fill or (before and before.picture.size != picture.size):
+                kept = None
+            else:
+                kept = before.frame if before else None
+            drawn.frame = shaded(drawn.frame, picture.shades, kept)
+            begins = presenter.fill is None and kept is None
+            registers = min(terminal.sixel_registers, picture.shades)
+            terminal = replace(terminal, sixel_registers=registers)
         try:
             if picture.rests and presenter.rest is not None:
                 same = (
@@ -514,7 +535,7 @@ class Viewer:
                 f"presenter {presenter.name!r} failed: "
                 f"{type(error).__name__}: {printable(error)}; try another with --presenter"
             ) from error
-        return Encoded(payload, time.perf_counter() - begin)
+        return Encoded(payload, time.perf_counter() - begin, begins)
 
     # --- what is shown
 
@@ -594,6 +615,7 @@ class Viewer:
             self._around.backends,
             {"presenter": self._presenter.name, "backend": self._engine.backends},
             self._heads.figures,
+            self._around.read_raw,
         )  # fmt: skip
 
     def _words(self) -> bytes:
@@ -607,7 +629,9 @@ class Viewer:
             return status_line([notice] if notice else [], terminal)
         heads.told = verifier.text if verifier else ""
         recording = "recording" if self._recording is not None else ""
-        words = [notice, recording, heads.told, *(status(heads.shown) if heads.shown else ())]
+        panel = self._layout.panel is not None
+        parts = status(heads.shown, panel) if heads.shown else [self._engine.name]
+        words = [notice, recording, heads.told, *parts]
         return status_line(words, terminal, alarm=verifier is not None and verifier.broken > 0)
 
     def _panel_text(self, area: Area | None) -> bytes:

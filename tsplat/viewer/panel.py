@@ -116,7 +116,7 @@ class Panel:
         return place, stops[place]
 
     def _at(self, stops: Sequence[_Stop], place: int) -> Panel:
-        return Panel(stops[place].key, place, self.top)
+        return replace(self, key=stops[place].key, place=place)
 
     def _changed(self, view: View, facts: Facts, area: Area, by: int) -> tuple[Panel, View]:
         stops = _stops(view, facts)

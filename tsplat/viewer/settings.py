@@ -26,6 +26,7 @@ RATES = (100e3, 250e3, 500e3, 1e6, 2e6, 5e6, 10e6, None)  # bits/s
 FRAMES = (5.0, 10.0, 15.0, 20.0, 24.0, 30.0, 60.0, 120.0)
 PICTURES = (None, (640, 360), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160))
 CUTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9)
+RAW = "raw opacity"
 CROP_STEP = 0.02  # of the distance, per key press
 
 
@@ -37,6 +38,7 @@ class Facts:
     backends: Sequence[str] = ()  # that can be used here
     chosen: Mapping[str, str] = field(default_factory=dict)  # for "auto": setting -> name
     figures: Sequence[tuple[str, str]] = ()  # name, words
+    read_raw: bool = False  # the file was read with --raw-opacity: nothing is to be taken back
 
 
 @dataclass(frozen=True)
@@ -257,10 +259,10 @@ QUALITY: Sequence[Row] = (
 SCENE: Sequence[Row] = (
     _factor("splat scale", lambda v: v.look.edits.splat_scale,
             lambda v, value: v.editing(splat_scale=value), 2**0.25, 1 / 64, 16.0),
-    Row("opacity cut", lambda v, f: f"{v.look.edits.opacity_min:g}",
-        lambda v, by, f: v.editing(opacity_min=_stepped(CUTS, v.look.edits.opacity_min, by)),
-        lambda v: v.editing(opacity_min=0.0)),
-    _switch("raw opacity", lambda v: v.look.edits.raw_opacity,
+    Row("opacity cut", lambda v, f: f"{v.look.edits.min_opacity:g}",
+        lambda v, by, f: v.editing(min_opacity=_stepped(CUTS, v.look.edits.min_opacity, by)),
+        lambda v: v.editing(min_opacity=0.0)),
+    _switch(RAW, lambda v: v.look.edits.raw_opacity,
             lambda v, on: v.editing(raw_opacity=on)),
     Row("saturation", lambda v, f: f"{v.look.edits.saturation:.3g}",
         lambda v, by, f: v.editing(
@@ -291,11 +293,12 @@ def _figure(name: str, words: str) -> Row:
 def sections(view: View, facts: Facts) -> list[Section]:
     """All rows, under their titles; those of the box while there is one."""
     box = BOX if view.look.edits.crop is not None else ()
+    scene = [row for row in SCENE if not (facts.read_raw and row.name == RAW)]
     figures = [_figure(name, words) for name, words in facts.figures]
     return [
         ("Camera", CAMERA),
         ("Quality", QUALITY),
-        ("Scene", (*SCENE, *box)),
+        ("Scene", (*scene, *box)),
         ("Showing", SHOWING),
         ("Figures", figures),
     ]
