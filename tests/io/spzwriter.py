@@ -51,7 +51,9 @@ def compressed(content):
 def packed(n, version, degree, planes, fraction=12, flags=0, extensions=b""):
     """A whole file."""
     if version < 4:
-        return gzip.compress(header(n, version, degree, fraction, flags) + b"".join(planes), 1, mtime=0)
+        return gzip.compress(
+            header(n, version, degree, fraction, flags) + b"".join(planes), 1, mtime=0
+        )
     full = [p for p in planes if p]
     streams = [compressed(p) for p in full]
     flags |= 2 if extensions else 0

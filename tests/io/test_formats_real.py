@@ -13,9 +13,12 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 import tsplat
-from tests.io.loading import in_file_order, refusal
+from tests.io.loading import in_file_order, refusal, scene_or_line
+from tests.io.mutate import damaged
 from tests.io.realdata import DATA, manifest, needs_data
 from tests.io.spzwriter import HAVE_ZSTD, NO_ZSTD
 from tsplat.core.errors import SceneError
@@ -217,3 +220,24 @@ def test_a_list_of_levels_is_named():
     """A streamed SOG's index is told from a scene's meta.json."""
     with pytest.raises(SceneError, match="name the folder of one of them"):
         load_scene(DATA / "pc-engine" / "playbot" / "lod-meta.json")
+
+
+SMALL = [
+    LEICA + "niantic-v2.spz", LEICA + "niantic-v3.spz", LEICA + "niantic-v4.spz", LEICA + "sog",
+    LEICA + "gf.sog", "usd3dgs/fixtures-sog/kit-multi-degree3-deflated.sog",
+    "usd3dgs/fixtures-spz/decode-degree3-v2.spz", "bevy_khr/khr_conformance_matrix.glb",
+    "bevy_khr/khr_conformance_matrix.gltf", "splat-transform-fixtures/minimal-v4.spz",
+]  # fmt: skip
+
+
+@needs_data
+@pytest.mark.parametrize("path", SMALL)
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_damage_to_real_files_gives_a_scene_or_a_line(tmp_path, path, data):
+    """Bits, numbers and pieces of files by other people's tools changed, or their end cut off."""
+    zstd(path)
+    (tmp_path / "a").write_bytes(data.draw(damaged((DATA / path).read_bytes())))
+    scene_or_line(tmp_path / "a")
