@@ -147,6 +147,7 @@ def test_progress_goes_up_to_its_end(tmp_path):
     write(tmp_path / "a", curve.ROWS_MIN, 3, 1)
     calls = []
     load_scene(tmp_path / "a", progress=lambda done, total: calls.append(done / total))
+    assert calls == sorted(calls)
     assert calls[-1] == 1
     assert len(calls) > 8
 

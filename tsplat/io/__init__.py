@@ -39,10 +39,12 @@ def load_scene(
     Gaussians that cannot be drawn are left out and counted by reason in ``Scene.dropped``.
 
     Args:
-        path: a file in a format some installed plugin reads; PLY is built in.
+        path: a file in a format some installed plugin reads, or the folder of an unbundled SOG;
+            ``tsplat plugins`` lists the formats.
         max_splats: keep at most this many, drawn evenly from the whole file; the same ones on
             every run. How many that leaves out is counted too.
-        raw_opacity: the file stores opacities as 0..1, not as logits.
+        raw_opacity: the file stores opacities as 0..1, not as logits. Formats in which there is
+            nothing to choose refuse it.
         sh_float32: keep spherical harmonics in float32. Otherwise they are float16 where that
             moves no colour by a quarter of an 8-bit level; ``Scene.sh_error`` is how much it does.
         progress: called often with (done, total) in any unit;

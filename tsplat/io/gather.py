@@ -30,6 +30,10 @@ COUNT_RATE = 2
 less than half of one was made to fill the memory."""
 
 
+UNPACKING = 1 / 3
+"""Of the time that a compressed file takes, about what passes before rows are decoded."""
+
+
 class Gaussians(NamedTuple):
     """Some rows of a file, decoded as :meth:`tsplat.io.clean.SceneBuilder.add` wants them."""
 
@@ -170,6 +174,15 @@ def _sweep(work: Callable[[slice], bool], count: int, progress: Callable[[int], 
     with ThreadPoolExecutor(min(default_threads(), THREADS), "tsplat-gather") as pool:
         for done in pool.map(piece, range(0, count, CHUNK)):
             progress(done)
+
+
+def stretch(options: ReadOptions, first: float, last: float) -> ReadOptions:
+    """``options`` of one step of reading, whose progress goes from ``first`` to ``last`` of 1."""
+
+    def progress(done: int, total: int) -> None:
+        options.progress(round(1000 * (first + (last - first) * done / max(total, 1))), 1000)
+
+    return replace(options, progress=progress)
 
 
 def left_of_one(parts: F64) -> F64:

@@ -18,7 +18,15 @@ from tsplat.core.types import F16, F32, F64, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse
 from tsplat.io.fields import JSON_MAX, Field, parse
-from tsplat.io.gather import Gaussians, check_count, gather, left_of_one, no_raw_opacity
+from tsplat.io.gather import (
+    UNPACKING,
+    Gaussians,
+    check_count,
+    gather,
+    left_of_one,
+    no_raw_opacity,
+    stretch,
+)
 from tsplat.io.half import SH_ERROR_MAX, SH_PEAKS
 
 META = "meta.json"
@@ -183,7 +191,7 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
         palette = _palette(path, harmonics, fetch, old=old)
     pixels: dict[str, U8] = {}
     for done, (key, name) in enumerate(images.items()):
-        options.progress(done, 3 * len(images))
+        stretch(options, 0, UNPACKING).progress(done, len(images))
         decoded, _ = _image(path, name, fetch, count, most)
         pixels[key] = decoded[:count]
     if palette is not None:
@@ -204,7 +212,8 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
     about = f"sog {1 if old else 2}, SH {degree}{', antialiased' if antialias else ''}"
     bundle = path.name != META
     return gather(
-        path, source, options, about=about if bundle else f"{about}, unbundled",
+        path, source, stretch(options, UNPACKING, 1),
+        about=about if bundle else f"{about}, unbundled",
         antialias=antialias, name=path.name if bundle else path.absolute().parent.name,
     )  # fmt: skip
 

@@ -26,7 +26,15 @@ from tsplat.core.errors import printable
 from tsplat.core.types import F32, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse
-from tsplat.io.gather import Gaussians, check_count, gather, left_of_one, no_raw_opacity
+from tsplat.io.gather import (
+    UNPACKING,
+    Gaussians,
+    check_count,
+    gather,
+    left_of_one,
+    no_raw_opacity,
+    stretch,
+)
 from tsplat.io.half import SH_PEAKS
 from tsplat.io.turn import Turn, axes
 
@@ -289,7 +297,7 @@ def _planes_gzip(path: Path, content: bytes, options: ReadOptions) -> tuple[Head
         refuse(path, f"SPZ version {head.version} in a gzip stream, expected 1 to 3")
     total = sum(head.sizes) * head.count
     planes = source.read(
-        total, f"SPZ of {head.count} Gaussians", lambda done: options.progress(done, 3 * total)
+        total, f"SPZ of {head.count} Gaussians", lambda done: options.progress(done, total)
     )
     source.end(f"{head.count} Gaussians")
     return head, _split(head, planes), DEFAULT
@@ -373,7 +381,7 @@ def _planes_zstd(path: Path, content: bytes, options: ReadOptions) -> tuple[Head
         planes[i] = source.read(wanted, f"{head.count} Gaussians")
         source.end(f"{head.count} Gaussians")
         start += packed
-        options.progress(start, 3 * len(content))
+        options.progress(start, len(content))
     return head, planes, system
 
 
@@ -423,8 +431,10 @@ def read(path: Path, options: ReadOptions) -> Scene:
     no_raw_opacity(path, options, "SPZ")
     content = path.read_bytes()
     plain = content.startswith(MAGIC) and int.from_bytes(content[4:8], "little") >= 4
-    head, planes, system = (_planes_zstd if plain else _planes_gzip)(path, content, options)
+    unpack = _planes_zstd if plain else _planes_gzip
+    head, planes, system = unpack(path, content, stretch(options, 0, UNPACKING))
     del content
+    options = stretch(options, UNPACKING, 1)
     turn = Turn(axes(system))
     about = head.about if system == DEFAULT else f"{head.about}, axes {system}"
     return gather(
