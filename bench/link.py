@@ -77,25 +77,26 @@ def run_viewer(words: Sequence[str]) -> int:
     from dataclasses import replace
 
     from tsplat import cli
+    from tsplat.viewer import loop
     from tsplat.viewer.loop import Viewer
 
     heard: list[float] = []  # when
-    hear, encode = Viewer._hear, Viewer._encode
+    hear, encode = Viewer._hear, loop.encode
 
     def marked_hear(self: Viewer, event: object) -> None:
         hear(self, event)  # type: ignore[arg-type]
         if getattr(event, "kind", "") == "key":
             heard.append(time.monotonic())
 
-    def marked_encode(self: Viewer, drawn: object, before: object) -> object:
-        encoded = encode(self, drawn, before)  # type: ignore[arg-type]
+    def marked_encode(drawn: object, before: object) -> object:
+        encoded = encode(drawn, before)  # type: ignore[arg-type]
         picture = drawn.picture  # type: ignore[attr-defined]
         keys = bisect_right(heard, picture.begun)
         mark = b"\x1b]7771;%d;%d;%d\x07" % (keys, picture.level, len(encoded.payload))
         return replace(encoded, payload=encoded.payload + mark)
 
     Viewer._hear = marked_hear  # type: ignore[method-assign]
-    Viewer._encode = marked_encode  # type: ignore[method-assign, assignment]
+    loop.encode = marked_encode  # type: ignore[assignment]
     return cli.main(["view", *words])
 
 

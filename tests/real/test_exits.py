@@ -36,15 +36,13 @@ SAME = 20.0  # dB; the text and the picture are 12 apart
 TMUX = in_tmux(XTERM)
 
 BREAKING = """
+import os
 from dataclasses import replace
 from tsplat import hookimpl
 from tsplat.presenters.{like} import {row}
 
-frames = []
-
 def encode(frame, terminal, previous):
-    frames.append(1)
-    if len(frames) > 2:
+    if os.path.exists(os.environ["STATE"] + "/fail"):
         raise ValueError("no ink")
     return {row}.encode(frame, terminal, previous)
 
@@ -52,7 +50,7 @@ def encode(frame, terminal, previous):
 def tsplat_presenters():
     return [replace({row}, name="breaking", encode=encode, fill=None, rest=None)]
 """
-"""A presenter whose third picture fails."""
+"""A presenter that fails once there is a file called ``fail``."""
 
 
 @dataclass(frozen=True)
@@ -77,13 +75,21 @@ def sent(signum: int) -> Callable[[Terminal], None]:
     return lambda terminal: os.kill(terminal.pid(), signum)
 
 
+def broken(terminal: Terminal) -> None:
+    """The presenter fails in the middle of moving pictures; nothing is typed into that."""
+    first = terminal.photograph()
+    terminal.press("o")
+    await_("moves", lambda: (terminal.photograph() != first).any(axis=2).mean() > 0.1)
+    (terminal.state / "fail").touch()
+
+
 EXITS = (
     Exit("q", typed("q"), 0),
     Exit("ctrl-c", typed("ctrl+c"), 0),
     Exit("sigterm", sent(signal.SIGTERM), 128 + signal.SIGTERM),
     Exit("moving", typed("o", "Escape"), 0),
     Exit(
-        "a failing plugin", typed("Left"), 1, ("--presenter", "breaking"),
+        "a failing plugin", broken, 1, ("--presenter", "breaking"),
         "tsplat: presenter 'breaking' failed: ValueError: no ink; try another with --presenter",
     ),
 )  # fmt: skip
@@ -92,6 +98,7 @@ EXITS = (
 def plug_in(terminal: Terminal) -> None:
     """Installs the presenter that fails, made of the terminal's usual one."""
     like = {"kitty": "kitty", "xterm": "sixel"}.get(terminal.make.name, "halfblock")
+    (terminal.state / "fail").unlink(missing_ok=True)
     folder = terminal.state.parent
     (folder / "breaking_plugin.py").write_text(BREAKING.format(like=like, row=like.upper()))
     info = folder / "breaking-1.dist-info"

@@ -27,7 +27,8 @@ from tsplat.io.progress import progress_bar
 from tsplat.paths import TURN_SECONDS, load_path, turned
 from tsplat.plan import Plan, make_plan
 from tsplat.plugins import plugins
-from tsplat.presenters.base import Terminal
+from tsplat.presenters.base import Terminal, sampling
+from tsplat.presenters.enlarge import averaged
 
 RATE = 25.0
 """Frames a second: 4 hundredths of a second each, which GIF has."""
@@ -49,14 +50,16 @@ def run(arguments: argparse.Namespace) -> int:
     scene = load(arguments, exact=arguments.ideal or arguments.float64)
     loaded = time.perf_counter() - begin
     way, count = _way(arguments, scene, rate)
+    samples = 1
     if glyphs is not None:
-        way = _in_cells(way, glyphs)
+        way, samples = _in_cells(way, glyphs), sampling(glyphs.presenter, glyphs.terminal)
     settings, _ = calibrated(arguments, scene, way(0), wanted(arguments, scene))
     plan = make_plan(
         scene, backend=arguments.backend, threads=arguments.threads, params=settings,
         everything=arguments.everything,
     )  # fmt: skip
-    film = Film(count, rate, (way(0).width, way(0).height), _no_shot, arguments.background)
+    size = way(0).width // samples, way(0).height // samples
+    film = Film(count, rate, size, _no_shot, arguments.background)
     if is_sequence(output):
         film = replace(film, notes=_notes(arguments, scene, plan, way))
     seconds: list[float] = []
@@ -65,7 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
 
         def shot(index: int) -> Frame:
             progress(index, count)
-            return shoot(index)
+            if samples == 1:
+                return shoot(index)
+            return averaged(shoot(index).over(arguments.background or (0.0, 0.0, 0.0)), samples)
 
         try:
             done = write_film(
@@ -152,11 +157,12 @@ def _glyphs(arguments: argparse.Namespace) -> Glyphs | None:
 
 
 def _in_cells(way: Way, glyphs: Glyphs) -> Way:
-    """The same way in the presenter's pixels, which need not be square."""
+    """The same way in the presenter's pixels, which need not be square, and their samples."""
+    samples = sampling(glyphs.presenter, glyphs.terminal)
     size = glyphs.presenter.size(glyphs.terminal)
     pixel = glyphs.presenter.pixel(glyphs.terminal)
     width, height = (max(1, round(n * unit)) for n, unit in zip(size, pixel, strict=True))
-    return lambda index: way(index).reframed(width, height).resized(*size)
+    return lambda index: way(index).reframed(width, height).resized(*(n * samples for n in size))
 
 
 # --- what a frame depends on

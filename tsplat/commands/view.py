@@ -35,9 +35,10 @@ from tsplat.plugins import Registry, plugins
 from tsplat.terminal import Screen
 from tsplat.viewer.controls import View, orbit_of
 from tsplat.viewer.engine import Engine
+from tsplat.viewer.frames import Drawn, Encoded, Picture
 from tsplat.viewer.keep import Keeper
 from tsplat.viewer.look import Look
-from tsplat.viewer.loop import Around, Drawn, Encoded, Picture, Viewer
+from tsplat.viewer.loop import Around, Viewer
 from tsplat.viewer.pipeline import Pipeline
 from tsplat.views import FOV, UP, frame_orbit, frame_scene
 

@@ -11,30 +11,27 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from tsplat.core.camera import Camera
-from tsplat.core.errors import CameraError, PluginError, TsplatError, printable
-from tsplat.core.types import Frame
-from tsplat.plan import Rendered
+from tsplat.core.errors import CameraError, TsplatError, printable
 from tsplat.plugins import ask
-from tsplat.presenters.base import Presenter, Terminal, changed, pixels, sampling
-from tsplat.presenters.enlarge import averaged, cropped, enlarged
+from tsplat.presenters.base import Presenter
 from tsplat.terminal import Event, Flight, Screen, choose_presenter
 from tsplat.viewer.controls import DOUBLE_SECONDS, View, moves, pointed
-from tsplat.viewer.engine import Engine, Prepared
-from tsplat.viewer.figures import Shown, figures, status
+from tsplat.viewer.engine import Engine
+from tsplat.viewer.figures import Shown
+from tsplat.viewer.frames import Drawn, Encoded, Picture, draw, encode
 from tsplat.viewer.held import Held
 from tsplat.viewer.keep import Keeper, Recording
-from tsplat.viewer.layout import Area, layout
+from tsplat.viewer.layout import layout
 from tsplat.viewer.pace import Pace
-from tsplat.viewer.panel import Panel, placed
 from tsplat.viewer.pick import point_under
 from tsplat.viewer.pipeline import Pipeline
 from tsplat.viewer.settings import Facts
-from tsplat.viewer.shades import shaded
-from tsplat.viewer.text import help_page, help_top, status_line
+from tsplat.viewer.text import help_page, help_top
+from tsplat.viewer.words import Words
 from tsplat.views import frame_orbit
 
 if TYPE_CHECKING:
@@ -42,46 +39,7 @@ if TYPE_CHECKING:
 
 STILL_SECONDS = 0.08  # without a move the picture is refined; keys held down repeat faster
 FPS_SECONDS = 1.0  # that frames are counted over
-NOTICE_SECONDS = 5.0  # that words stay in the status line
 FIRST_SECONDS = 0.008  # of a held key that its first picture shows
-FIGURE_SECONDS = 0.25  # between figures while the picture moves
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """One that is wanted."""
-
-    view: View
-    level: int  # of Pace; 0 has all pixels
-    size: tuple[int, int]  # px
-    covered: tuple[int, int]  # px of the full size that they are repeated to, the least beyond it
-    shades: int | None  # of each channel; None: all
-    terminal: Terminal
-    presenter: Presenter
-    begun: float  # s, monotonic
-    heard: float | None = None  # s, when the input came that this is the first picture of
-    rests: bool = False  # nothing moves: as good as the presenter can
-
-
-@dataclass(eq=False)
-class Drawn:
-    """One that was rendered. Its frames are its own: the workspace goes on to the next."""
-
-    picture: Picture
-    camera: Camera
-    frame: Frame  # as it is encoded: on its background, as large as encode wants it, in its shades
-    rendered: Rendered  # its frame only where it is verified
-    prepared: Prepared
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Encoded:
-    """What is written for one."""
-
-    payload: bytes
-    seconds: float
-    begins: bool = False  # in a raster of its own: the next ones say only what changes in it
 
 
 @dataclass(frozen=True)
@@ -94,19 +52,6 @@ class Around:
     cameras: Callable[[], Sequence[Camera]]  # of the scene's file; CameraError if there is none
     verifier: Verifier | None = None
     read_raw: bool = False  # with --raw-opacity
-
-
-@dataclass
-class _Heads:
-    """What is written about the picture, as it is on the screen now."""
-
-    notice: str = ""
-    until: float = 0.0  # s, monotonic, that the notice stays
-    shown: Shown | None = None
-    figures: Sequence[tuple[str, str]] = ()
-    figured: float = 0.0  # s, monotonic
-    lines: list[bytes] = field(default_factory=list)  # of the panel
-    told: str = ""  # the verifier's words
 
 
 class Viewer:
@@ -128,8 +73,8 @@ class Viewer:
         self._asked: Picture | None = None  # last
         # On their way, to be acknowledged in this order; None: abandoned, or no picture
         self._sent: deque[tuple[Drawn, Encoded] | None] = deque()
-        self._heads = _Heads()
-        self._panel, self._help_top = Panel(), 0
+        self._words = Words(engine.name, around.verifier)
+        self._help_top = 0
         self._helping = False  # the help page is on the screen
         self._lead = b""  # to be written before the next frame
         self._held = Held()
@@ -157,12 +102,17 @@ class Viewer:
         self._pace = Pace(size, fps, far=screen.far)
         self._asked = None
         self._sent = deque(None for _ in self._sent)
-        self._heads.lines = []
+        self._words.place(self._layout.panel, self._why)
 
     def run(self) -> None:
         """Until the user quits."""
         screen = self._screen
-        self._pipeline.start(self._render, self._encode, lambda: screen.post(Event("made")))
+        keep = self._around.verifier is not None
+        self._pipeline.start(
+            lambda picture: draw(picture, self._engine, keep),
+            encode,
+            lambda: screen.post(Event("made")),
+        )
         try:
             while not self._view.quit:
                 for event in screen.read_events(self._timeout()):
@@ -172,7 +122,8 @@ class Viewer:
                     self._show()
                     self._want()
                     self._verify()
-                    self._settle()
+                    if self._words.settled():
+                        self._tell()
         finally:
             self._pipeline.close()
             if self._recording is not None:
@@ -202,9 +153,9 @@ class Viewer:
             return
         taken = None
         if self._layout.panel is not None and not before.help and event.action != "release":
-            taken = self._panel.after(event, before, self._facts(), self._layout.panel)
+            taken = self._words.panel.after(event, before, self._facts(), self._layout.panel)
         if taken is not None:
-            self._panel, self._view = taken
+            self._words.panel, self._view = taken
         else:
             self._held = self._held.after(event, now)
             self._view = before.after(event, self._terminal)
@@ -274,7 +225,7 @@ class Viewer:
         self._screen.clear()
         self._helping, self._lead = False, b""
         self._choose()
-        self._figure()
+        self._words.figure(self._screen.terminal)
         self._tell()
 
     def _acknowledged(self) -> None:
@@ -426,7 +377,7 @@ class Viewer:
     def _timeout(self) -> float | None:
         """Seconds until there is something to do without an event; idle costs nothing."""
         now, level = time.monotonic(), self._level()
-        ends = [self._heads.until] if self._heads.notice else []
+        ends = [self._words.until] if self._words.notice else []
         if level is not None:
             ends += [due for due in [self._due(level)] if due < math.inf]  # else an event comes
         elif self._holding and not self._covered:
@@ -477,66 +428,6 @@ class Viewer:
         )  # fmt: skip
         self._pipeline.ask(self._asked)
 
-    # --- the pipeline's threads
-
-    def _render(self, picture: Picture) -> Drawn:
-        begin = time.perf_counter()
-        look = picture.view.look
-        full = picture.presenter.size(picture.terminal)
-        pixel = picture.presenter.pixel(picture.terminal)
-        samples = 1 if picture.level else sampling(picture.presenter, picture.terminal)
-        repeated = picture.presenter.fill is None and picture.size != full
-        camera = picture.view.camera(full, pixel)
-        if repeated:
-            camera = replace(camera, width=picture.covered[0], height=picture.covered[1])
-        camera = camera.resized(*(n * samples for n in picture.size))
-        prepared, rendered = self._engine.run(look, camera)
-        frame = averaged(rendered.frame.over(look.background), samples)
-        if repeated:
-            frame = cropped(enlarged(frame, *picture.covered), *full)
-        elif frame.rgb is rendered.frame.rgb:
-            frame = Frame(frame.rgb.copy(), frame.transmittance)
-        kept = rendered.frame
-        if self._around.verifier is not None:
-            kept = Frame(kept.rgb.copy(), kept.transmittance.copy())
-        return Drawn(
-            picture, camera, frame, replace(rendered, frame=kept), prepared,
-            time.perf_counter() - begin,
-        )  # fmt: skip
-
-    def _encode(self, drawn: Drawn, before: Drawn | None) -> Encoded:
-        begin = time.perf_counter()
-        picture = drawn.picture
-        presenter, terminal = picture.presenter, picture.terminal
-        few = presenter.fill is not None and picture.size != presenter.size(terminal)
-        encode = presenter.fill if few and presenter.fill is not None else presenter.encode
-        begins = False
-        if picture.shades is not None:
-            if presenter.fill or (before and before.picture.size != picture.size):
-                kept = None
-            else:
-                kept = before.frame if before else None
-            drawn.frame = shaded(drawn.frame, picture.shades, kept)
-            begins = presenter.fill is None and kept is None
-            registers = min(terminal.sixel_registers, picture.shades)
-            terminal = replace(terminal, sixel_registers=registers)
-        try:
-            if picture.rests and presenter.rest is not None:
-                same = (
-                    before is not None
-                    and before.picture.rests
-                    and not changed(pixels(drawn.frame), before.frame)
-                )
-                payload = b"" if same else presenter.rest(drawn.frame, terminal)
-            else:
-                payload = encode(drawn.frame, terminal, before.frame if before else None)
-        except Exception as error:
-            raise PluginError(
-                f"presenter {presenter.name!r} failed: "
-                f"{type(error).__name__}: {printable(error)}; try another with --presenter"
-            ) from error
-        return Encoded(payload, time.perf_counter() - begin, begins)
-
     # --- what is shown
 
     def _show(self) -> None:
@@ -561,16 +452,14 @@ class Viewer:
         if self._helping:
             self._helping = False
             screen.clear()
-            self._heads.lines = []
+            self._words.forget()
         self._count()
-        if drawn.prepared.trouble not in ("", self._heads.notice):
+        if drawn.prepared.trouble not in ("", self._words.notice):
             self._notify(drawn.prepared.trouble)
-        self._heads.shown = self._of(drawn, encoded)
-        if drawn.picture.level == 0 or time.monotonic() > self._heads.figured + FIGURE_SECONDS:
-            self._figure()
+        self._words.show(self._of(drawn, encoded), screen.terminal, drawn.picture.level == 0)
         lead, self._lead = self._lead, b""
         self._sent.append(made)
-        screen.draw(lead + encoded.payload + self._words())
+        screen.draw(lead + encoded.payload + self._text())
         if self._around.verifier is not None and drawn.prepared.look == self._verified:
             self._around.verifier.show(drawn.camera, drawn.rendered.frame)
 
@@ -599,63 +488,30 @@ class Viewer:
         while self._frames[0] < now - FPS_SECONDS:
             self._frames.popleft()
 
-    def _figure(self) -> None:
-        """Works out the panel's figures anew."""
-        heads, verifier = self._heads, self._around.verifier
-        if self._layout.panel is None:
-            return
-        heads.figured = time.monotonic()
-        found = verifier.text if verifier else ""
-        heads.figures = figures(heads.shown, self._screen.terminal, self._why, found)
-
     def _facts(self) -> Facts:
         return Facts(
             [name for name, row in self._around.presenters.items()
              if not ask(row.unsupported, self._screen.terminal)],
             self._around.backends,
             {"presenter": self._presenter.name, "backend": self._engine.backends},
-            self._heads.figures,
+            self._words.figures,
             self._around.read_raw,
         )  # fmt: skip
 
-    def _words(self) -> bytes:
+    def _text(self) -> bytes:
         """Status line and panel, what of them has changed."""
-        return self._status() + self._panel_text(self._layout.panel)
-
-    def _status(self) -> bytes:
-        heads, terminal, verifier = self._heads, self._screen.terminal, self._around.verifier
-        notice = heads.notice
-        if not self._view.status:
-            return status_line([notice] if notice else [], terminal)
-        heads.told = verifier.text if verifier else ""
-        recording = "recording" if self._recording is not None else ""
-        panel = self._layout.panel is not None
-        parts = status(heads.shown, panel) if heads.shown else [self._engine.name]
-        words = [notice, recording, heads.told, *parts]
-        return status_line(words, terminal, alarm=verifier is not None and verifier.broken > 0)
-
-    def _panel_text(self, area: Area | None) -> bytes:
-        if area is None:
-            return b""
-        lines = self._panel.lines(self._view, self._facts(), area)
-        before, self._heads.lines = self._heads.lines, lines
-        return placed(lines, before, area)
+        recording = self._recording is not None
+        return self._words.text(self._view, self._screen.terminal, self._facts, recording)
 
     def _notify(self, words: str) -> None:
         """Words in the status line, for a while."""
-        self._heads.notice, self._heads.until = words, time.monotonic() + NOTICE_SECONDS
+        self._words.notify(words)
         self._tell()
-
-    def _settle(self) -> None:
-        """A notice goes when it has been there long enough."""
-        if self._heads.notice and time.monotonic() >= self._heads.until:
-            self._heads.notice = ""
-            self._tell()
 
     def _tell(self) -> None:
         """Status line and panel anew, without a picture."""
         if not self._view.help:
-            self._screen.draw(self._words(), track=False)
+            self._screen.draw(self._text(), track=False)
 
     # --- verification
 
@@ -674,6 +530,6 @@ class Viewer:
             return
         if self._level() is None:
             verifier.step()
-            if verifier.text != self._heads.told and self._view.status:
-                self._figure()
+            if verifier.text != self._words.told and self._view.status:
+                self._words.figure(self._screen.terminal)
                 self._tell()
