@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from tests.conftest import ROOT, gaussians, straight
+from tests.io import spzwriter
 from tsplat.commands.info import describe
 from tsplat.core import reference
 from tsplat.core.params import RenderParams
@@ -190,7 +191,7 @@ def test_info_describes_the_file(ply):
     assert "content" in text
 
 
-def test_info_names_the_format(ply, tmp_path):
+def test_info_names_the_level_of_a_ksplat(ply, tmp_path):
     """What reads the file, and what matters of the format."""
     from tests.io.splatwriter import drawn, write_ksplat
 
@@ -199,6 +200,43 @@ def test_info_names_the_format(ply, tmp_path):
     for file, name in ((ply, "ply"), (path, "ksplat level 1, SH 2")):
         assert json.loads(tsplat("info", file, "--json").stdout)["format"] == name
         assert re.search(rf"format +{name} *\n", tsplat("info", file).stdout.decode())
+
+
+@pytest.fixture(scope="module")
+def smooth(tmp_path_factory):
+    """An SPZ file of small Gaussians that says it was trained with antialiasing."""
+    planes = spzwriter.random_planes(400, 3, 1)
+    planes[3] = bytes(b % 40 + 70 for b in planes[3])  # sizes of 0.004 to 0.04
+    path = tmp_path_factory.mktemp("smooth") / "a.spz"
+    path.write_bytes(spzwriter.packed(400, 3, 1, planes, fraction=20, flags=1))
+    return path
+
+
+def test_antialiasing_is_what_the_file_says(smooth, ply, tmp_path):
+    """Without a word it is on where the file says so; --no-antialias and --antialias overrule."""
+
+    def picture(*words):
+        out = tmp_path / "out.npy"
+        tsplat("render", *words, "-o", out, "--size", "64x48")
+        return np.load(out)
+
+    said, on, off = (
+        picture(smooth),
+        picture(smooth, "--antialias"),
+        picture(smooth, "--no-antialias"),
+    )
+    assert (said == on).all()
+    assert np.abs(on - off).max() > 0.01
+    assert (picture(ply) == picture(ply, "--no-antialias")).all()
+
+
+def test_info_names_the_format(smooth, ply):
+    """Format, version and what matters of it; of a PLY, its reader's name."""
+    facts = json.loads(tsplat("info", smooth, "--json").stdout)
+    assert (facts["format"], facts["antialias"]) == ("spz 3, SH 1, antialiased", True)
+    assert "spz 3, SH 1, antialiased" in tsplat("info", smooth).stdout.decode()
+    facts = json.loads(tsplat("info", ply, "--json").stdout)
+    assert (facts["format"], facts["antialias"]) == ("ply", None)
 
 
 def test_info_says_where_rows_lie(scene):

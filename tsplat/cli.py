@@ -227,6 +227,10 @@ def _add_scene(parser: argparse.ArgumentParser, optional: bool = True, many: boo
     )  # fmt: skip
 
 
+def _add_antialias(parser: argparse._ActionsContainer, text: str) -> None:
+    parser.add_argument("--antialias", action=argparse.BooleanOptionalAction, help=text)
+
+
 def _add_engine(parser: argparse.ArgumentParser) -> None:
     engine = parser.add_argument_group("rendering")
     engine.add_argument(
@@ -238,9 +242,7 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
     engine.add_argument(
         "--threads", type=_threads, metavar="N", help="default: every CPU this process may use"
     )
-    engine.add_argument(
-        "--antialias", action="store_true", help="for scenes trained with antialiasing"
-    )
+    _add_antialias(engine, "for scenes trained with antialiasing (default: what the file says)")
     engine.add_argument(
         "--sh-degree", type=int, choices=range(4), default=3, metavar="D",
         help="highest degree of view-dependent colour, 0 to 3 (default)",
@@ -446,7 +448,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     check.add_argument("--camera", metavar="FILE[#INDEX]", help="default: frames the scene")
     check.add_argument("--threads", type=_threads, metavar="N", help="default: every CPU")
-    check.add_argument("--antialias", action="store_true", help="check the antialiased picture")
+    _add_antialias(check, "check the antialiased picture (default: what the file says)")
     check.add_argument(
         "--sh-degree", type=int, choices=range(4), default=3, metavar="D", help="0 to 3 (default)"
     )

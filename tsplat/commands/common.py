@@ -71,12 +71,17 @@ def load_unedited(arguments: argparse.Namespace, *, exact: bool = False) -> Scen
         )
 
 
-def params(arguments: argparse.Namespace) -> RenderParams:
-    """The settings that the command line names, without what ``--max-error`` may choose."""
+def params(arguments: argparse.Namespace, scene: Scene) -> RenderParams:
+    """The settings that the command line names, without what ``--max-error`` may choose.
+
+    Whether to antialias is for the scene's file to say where the command line does not.
+    """
     preset = PRESETS[getattr(arguments, "quality", None) or "contract"]
     made = parse_settings(getattr(arguments, "set", None) or "", preset)
     degree = min(made.sh_degree, arguments.sh_degree)
-    return replace(made, sh_degree=degree, antialias=arguments.antialias)
+    asked = arguments.antialias
+    antialias = bool(scene.antialias) if asked is None else asked
+    return replace(made, sh_degree=degree, antialias=antialias)
 
 
 def calibrated(

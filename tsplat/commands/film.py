@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     samples = 1
     if glyphs is not None:
         way, samples = _in_cells(way, glyphs), sampling(glyphs.presenter, glyphs.terminal)
-    settings, _ = calibrated(arguments, scene, way(0), wanted(arguments))
+    settings, _ = calibrated(arguments, scene, way(0), wanted(arguments, scene))
     plan = make_plan(
         scene, backend=arguments.backend, threads=arguments.threads, params=settings,
         everything=arguments.everything,

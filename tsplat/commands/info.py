@@ -49,6 +49,7 @@ def describe(scene: Scene, plan: Plan) -> dict[str, Any]:
     return {
         "name": printable(scene.name),
         "format": printable(scene.source),
+        "antialias": scene.antialias,
         "gaussians": len(scene),
         "dropped": dict(scene.dropped),
         "sh_degree": scene.sh_degree,

@@ -73,13 +73,17 @@ def run(arguments: argparse.Namespace) -> int:
     path = load_path(arguments.play) if arguments.play else None
     unedited, changes = load_unedited(arguments), edits(arguments)
     scene = edited(unedited, changes)
+    if arguments.antialias is None:  # what is said of the session then holds whatever the file says
+        arguments.antialias = scene.antialias
     verifier: Verifier | None = None
     with contextlib.ExitStack() as stack:
         if arguments.verify:
             from tsplat.viewer.verify import Worker
 
-            worker = stack.enter_context(Worker(scene, params(arguments)))
-        wanted, _ = calibrated(arguments, scene, frame_scene(scene, *CALIBRATED), params(arguments))
+            worker = stack.enter_context(Worker(scene, params(arguments, scene)))
+        wanted, _ = calibrated(
+            arguments, scene, frame_scene(scene, *CALIBRATED), params(arguments, scene)
+        )
         plan = make_plan(scene, backend=arguments.backend, threads=arguments.threads, params=wanted)
         if arguments.verify:
             from tsplat.viewer.breaches import BreachLog
@@ -181,6 +185,8 @@ def scene_words(arguments: argparse.Namespace, look: Look) -> list[str]:
         words.append("--sh-float32")
     if look.params.antialias:
         words.append("--antialias")
+    elif arguments.antialias is not None:
+        words.append("--no-antialias")
     settings = settings_text(look.params)
     if settings in PRESETS:
         words += ["--quality", settings] if settings != "contract" else []
@@ -255,6 +261,8 @@ def check_command(
     for name in ("raw_opacity", "sh_float32", "antialias"):
         if getattr(arguments, name):
             words.append(f"--{name.replace('_', '-')}")
+    if arguments.antialias is False:
+        words.append("--no-antialias")
     words += ["--sh-degree", str(arguments.sh_degree)]
     isa = os.environ.get("TSPLAT_ISA")
     before = f"TSPLAT_ISA={shlex.quote(isa)} " if isa else ""

@@ -61,6 +61,7 @@ class Scene:
     # curve; distinct, and only their order counts; None if that is the order of the rows
     numbers: I32 | None = None
     source: str = ""  # for messages: the format it was read from, and what matters of that
+    antialias: bool | None = None  # trained with antialiasing, its file says; None: it does not say
 
     def __post_init__(self) -> None:
         check_array("Scene.means", self.means, np.float32, ("N", 3))
