@@ -286,7 +286,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
         chunks = chunk.read(file, 0, chunk.count)
         layout = Layout(chunks, 0 if sh is None else sh.columns)
         about = f"compressed PLY, {chunk.count} chunks, SH {REST_COUNTS.index(layout.rest)}"
-        return scene_of(path, Rows(file, vertex, sh), layout, options, about)
+        return scene_of(path, Rows(file, vertex, sh), layout, options, about=about)
 
 
 def recognises(start: bytes) -> bool:

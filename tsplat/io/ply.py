@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,8 +23,8 @@ from tsplat.core.types import F64, I32, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io import native
 from tsplat.io.base import Read, Reader, ReadOptions, refuse
-from tsplat.io.clean import OPACITY_RANGE, SceneBuilder
-from tsplat.io.sweeps import Sweeps, decode, finished
+from tsplat.io.clean import SceneBuilder
+from tsplat.io.sweeps import scene_of
 
 if TYPE_CHECKING:
     from tsplat.io.plyrows import Element, Header
@@ -196,15 +197,9 @@ def read(path: Path, options: ReadOptions) -> Scene:
     if isinstance(rest, str):
         refuse(path, rest)
     with plyrows.open_rows(path, header, options.progress) as rows:
-        sweeps = Sweeps(rows, options, _nothing if header.text else options.progress)
-        builder, numbers = decode(sweeps, Layout(rows.dtype, rest), options)
-    if options.raw_opacity and builder.dropped[OPACITY_RANGE] > len(builder):
-        refuse(
-            path,
-            f"{builder.dropped[OPACITY_RANGE]} opacities lie outside 0..1, so they are logits; "
-            "read the file without raw_opacity (--raw-opacity)",
-        )
-    return finished(path, builder, numbers)
+        if header.text:  # reading it was the work
+            options = replace(options, progress=_nothing)
+        return scene_of(path, rows, Layout(rows.dtype, rest), options)
 
 
 def _load() -> Read:

@@ -16,7 +16,7 @@ import numpy as np
 from tsplat.core.errors import printable
 from tsplat.core.types import F16, F32, F64, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
-from tsplat.io.base import Read, Reader, ReadOptions, refuse
+from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.fields import JSON_MAX, Field, parse
 from tsplat.io.gather import (
     UNPACKING,
@@ -24,7 +24,6 @@ from tsplat.io.gather import (
     check_count,
     gather,
     left_of_one,
-    no_raw_opacity,
     stretch,
 )
 from tsplat.io.half import SH_ERROR_MAX, SH_PEAKS
@@ -164,7 +163,7 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
     if version is not None and version.integer(1, 2**53) != 2:
         version.wrong("2 (version 1 says none)")
     if not old:
-        no_raw_opacity(path, options, "SOG 2")
+        refuse_raw_opacity(path, options, "SOG 2")
     means, sh0, scales = meta.get("means"), meta.get("sh0"), meta.get("scales")
     harmonics = meta.maybe("shN")
     images = {

@@ -25,14 +25,13 @@ import numpy as np
 from tsplat.core.errors import printable
 from tsplat.core.types import F32, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
-from tsplat.io.base import Read, Reader, ReadOptions, refuse
+from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.gather import (
     UNPACKING,
     Gaussians,
     check_count,
     gather,
     left_of_one,
-    no_raw_opacity,
     stretch,
 )
 from tsplat.io.half import SH_PEAKS
@@ -428,7 +427,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
     Memory: the file, its planes (19 bytes a Gaussian, 65 of degree 3, which is 1.3 to 3 times the
     file) and the scene, which is 3 to 7 times as large as an SPZ file.
     """
-    no_raw_opacity(path, options, "SPZ")
+    refuse_raw_opacity(path, options, "SPZ")
     content = path.read_bytes()
     plain = content.startswith(MAGIC) and int.from_bytes(content[4:8], "little") >= 4
     unpack = _planes_zstd if plain else _planes_gzip
