@@ -12,6 +12,7 @@ from tests.modes import TELLS, left_on
 from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
 from tsplat.terminal import Event, Screen, screen
+from tsplat.viewer.text import help_page
 
 ENVIRON = {"TERM": "xterm"}
 # The last is a question: its answer is the last thing to come
@@ -79,6 +80,25 @@ def test_restored_on_deadly_signals(signum, body):
         assert process.returncode == 128 + signum, errors
         assert errors == ""
         check_restored(terminal)
+
+
+@pytest.mark.parametrize("name", ["XTerm(412)", "foot(1.28.0)"])
+def test_an_xterm_is_rid_of_its_pictures(name):
+    """Wherever the screen is cleared, and at the end, they are scrolled out; no one else scrolls."""
+    facts = Terminal(80, 24, sixel=True, name=name)
+    with FakeTerminal() as terminal:
+        with session(terminal, terminal=facts) as now:
+            now.clear()
+        terminal.settle()
+        out, scroll, gone = terminal.output, b"\x1b[24S", b"\x1b[m\x1b[2J"
+    if name.startswith("XTerm"):
+        assert out.count(scroll + gone) == out.count(gone) == 2
+        assert out.index(b"\x1b[?1049h") < out.index(scroll)
+        assert out.rindex(gone) < out.rindex(scroll) < out.index(b"\x1b[?1049l")
+        assert scroll + gone in help_page(facts)
+    else:
+        assert b"S" not in out
+        assert scroll not in help_page(facts)
 
 
 def test_a_second_signal_interrupts_work(tmp_path):

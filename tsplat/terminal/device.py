@@ -33,10 +33,14 @@ from tsplat.terminal.sharing import Sharing, is_remote
 PROBE_SECONDS = 0.15  # for the first answer, on this machine
 REMOTE_SECONDS = 1.5  # for the first answer over a network
 ANSWERING_SECONDS = 2.0  # for the last answer, once there is a first
+TMUX_SECONDS = 1.0  # for what tmux itself is asked by its command
+ATTACH_SECONDS = 3.0  # for tmux to show a new session in its terminal
+ATTACH_GAP = 0.05  # s between two looks at that
 ENTER_ALTERNATE = b"\x1b[?1049h"
 LEAVE_ALTERNATE = b"\x1b[?1049l"
 STRING_END = b"\x1b\\"  # ST
 PLAIN = b"\x1b[m"  # SGR 0
+CLEAR = PLAIN + b"\x1b[2J\x1b[H"
 READ_SIZE = 1 << 16
 
 Attributes = list[Any]  # what termios.tcgetattr returns
@@ -102,6 +106,21 @@ def write_all(fd: int, data: bytes, seconds: float | None = None) -> bool:
             if end is None:
                 select.select([], [fd], [])
     return True
+
+
+def cleared(terminal: Terminal) -> bytes:
+    """What leaves nothing on the screen and the cursor at its top left; kitty's pictures go, too."""
+    return scrolled_out(terminal) + CLEAR
+
+
+def scrolled_out(terminal: Terminal) -> bytes:
+    """What takes sixel pictures off the screen of an xterm; b"" for others.
+
+    xterm (379 and 412) keeps up to 16 that are covered or erased, and goes through their px for
+    each character that it writes: 0.2 to 0.5 s a screenful. It passes by what has left the screen.
+    """
+    keeps = terminal.sixel and terminal.name.startswith("XTerm(")
+    return b"\x1b[%dS" % terminal.rows if keeps else b""  # SU
 
 
 def open_patient(fd: int) -> int | None:
@@ -185,7 +204,8 @@ def ask(
 
     Where the environment tells of a multiplexer, kitty's questions wait for the answer: tmux
     would take them for a title. Inside tmux the terminal around it is asked, past tmux; its answers
-    are typed into this pane. Where tmux lets nothing through, that costs ``seconds`` once more.
+    are typed into this pane. Where tmux lets nothing through, that costs ``seconds`` once more. The
+    first program of a new session runs before that is in a terminal: then that is waited for.
     """
 
     def exchange(questions: Iterable[bytes]) -> None:
@@ -203,28 +223,40 @@ def ask(
     mux = multiplexer(name_in(answers[0]), environ)
     if mux == "tmux":
         through = KITTY_QUESTION, *sharing.questions(), XTVERSION, DA1
+        begun = time.monotonic()
+        attached, features = tmux_client(environ)
+        late = not attached
+        while not attached and time.monotonic() < begun + ATTACH_SECONDS:
+            time.sleep(ATTACH_GAP)
+            attached, features = tmux_client(environ)
         exchange(map(through_tmux, through))
-        return Heard(answers[0], b"".join(typed), answers[1], tmux_features(environ))
+        if late and attached and not DA1_ANSWER.search(answers[-1]):  # its first moments
+            exchange(map(through_tmux, through))
+        return Heard(answers[0], b"".join(typed), b"".join(answers[1:]), features)
     if not mux and multiplexer("", environ):  # a window that was opened from inside one
         exchange((KITTY_QUESTION, *sharing.questions(), DA1))
     return Heard(b"".join(answers), b"".join(typed))
 
 
-def tmux_features(environ: Mapping[str, str]) -> str:
-    """What tmux believes of the terminal it is in: "256,RGB,sixel,title" or so; "" if unknown."""
+def tmux_client(environ: Mapping[str, str]) -> tuple[bool, str]:
+    """Whether our tmux session is in a terminal, and what tmux believes of that.
+
+    "256,RGB,sixel,title" or so. What cannot be found out is taken for (True, "").
+    """
     if not environ.get("TMUX"):  # tmux on another machine
-        return ""
+        return True, ""
     import subprocess
 
-    command = "tmux", "display-message", "-p", "#{client_termfeatures}"
+    command = "tmux", "display-message", "-p", "#{session_attached} #{client_termfeatures}"
     try:
         said = subprocess.run(
             command, env=dict(environ), stdin=subprocess.DEVNULL, capture_output=True, text=True,
-            timeout=PROBE_SECONDS, check=True,
+            timeout=TMUX_SECONDS, check=True,
         )  # fmt: skip
     except (OSError, ValueError, subprocess.SubprocessError):
-        return ""
-    return said.stdout.strip()
+        return True, ""
+    attached, _, features = said.stdout.strip().partition(" ")
+    return attached != "0", features
 
 
 def probe(

@@ -33,6 +33,8 @@ from tsplat.terminal.device import (
     PLAIN,
     READ_SIZE,
     STRING_END,
+    cleared,
+    scrolled_out,
 )
 from tsplat.terminal.events import Decoder, Event
 from tsplat.terminal.link import Flight, Link
@@ -41,7 +43,6 @@ from tsplat.terminal.sharing import Sharing
 BEGIN_UPDATE = b"\x1b[?2026h"  # BSU: unknown to some, harmless to all; Konsole has it untold
 END_UPDATE = b"\x1b[?2026l"  # ESU
 HOME = b"\x1b[H"
-CLEAR = b"\x1b[m\x1b[2J" + HOME
 HIDE_CURSOR, SHOW_CURSOR = b"\x1b[?25l", b"\x1b[?25h"
 # Kitty's keyboard protocol, on a stack that each screen has of its own: 2 tells releases, 8 those
 # of letters, too; 16 tells the text, 4 the letter with Shift, 1 is what these are built upon
@@ -194,7 +195,7 @@ class Screen:
         device.write_all(self._out, ENTER_ALTERNATE)
 
     def _set_modes(self) -> None:
-        device.write_all(self._out, HIDE_CURSOR + self._switched() + CLEAR)
+        device.write_all(self._out, HIDE_CURSOR + self._switched() + cleared(self.terminal))
 
     def _wanted(self) -> tuple[tuple[bytes, bytes], ...]:
         """The modes that this terminal is to have, in the order in which they are undone."""
@@ -248,6 +249,7 @@ class Screen:
         undo = STRING_END if self._rest else b""  # of a picture that is sent in part
         self._rest.clear()
         undo += END_UPDATE + STRING_END + self.cleanup + self._undone()
+        undo += scrolled_out(self.terminal)  # else the next program there would be slow
         undo += PLAIN + SHOW_CURSOR + LEAVE_ALTERNATE
         seconds = BUSY_SECONDS if self._answered and self._answering else LEAVE_SECONDS
         try:
@@ -406,7 +408,7 @@ class Screen:
 
     def clear(self) -> None:
         """Nothing on the screen, cursor at its top left. Pictures of kitty's go, too."""
-        self._send(CLEAR)
+        self._send(cleared(self.terminal))
 
     def draw(self, payload: bytes, track: bool = True) -> None:
         """One synchronized update, from the top left cell on; b"" writes nothing.
