@@ -128,6 +128,12 @@ os.rename(sys.argv[1] + "/part", sys.argv[1] + "/around")
 """
 
 
+def known_to_tmux(terminal):
+    """Answers what tmux asks first (DA2): before that it passes no answers on."""
+    terminal.wait_for(b"\x1b[>c")
+    terminal.type(b"\x1b[>41;379;0c")
+
+
 def until(there, seconds=20.0):
     """Waits for it."""
     end = time.monotonic() + seconds
@@ -154,7 +160,10 @@ def test_a_session_that_is_not_in_a_terminal_yet(comes, tmp_path):
             if comes:
                 attach = shlex.join(["exec", "env", "-u", "TMUX", *tmux, "attach"])
                 client = f"import os; os.execvp('sh', ['sh', '-c', {attach!r}])"
+                thread = threading.Thread(target=known_to_tmux, args=(terminal,))
+                thread.start()
                 terminal.spawn(client).communicate(timeout=60)  # it ends with the program
+                thread.join()
             until((tmp_path / "around").exists)
             assert (DA1 in (tmp_path / "around").read_bytes()) is comes
         finally:

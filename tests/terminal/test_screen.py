@@ -84,7 +84,7 @@ def test_restored_on_deadly_signals(signum, body):
 
 @pytest.mark.parametrize("name", ["XTerm(412)", "foot(1.28.0)"])
 def test_an_xterm_is_rid_of_its_pictures(name):
-    """Wherever the screen is cleared, and at the end, they are scrolled out; no one else scrolls."""
+    """Wherever the screen is cleared, and at the end, they are scrolled out; no other scrolls."""
     facts = Terminal(80, 24, sixel=True, name=name)
     with FakeTerminal() as terminal:
         with session(terminal, terminal=facts) as now:

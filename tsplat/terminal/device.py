@@ -109,7 +109,7 @@ def write_all(fd: int, data: bytes, seconds: float | None = None) -> bool:
 
 
 def cleared(terminal: Terminal) -> bytes:
-    """What leaves nothing on the screen and the cursor at its top left; kitty's pictures go, too."""
+    """What leaves nothing on the screen, kitty's pictures included; the cursor at its top left."""
     return scrolled_out(terminal) + CLEAR
 
 
