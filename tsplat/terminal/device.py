@@ -191,6 +191,7 @@ class Heard:
     typed: bytes = b""  # keys pressed meanwhile
     around: bytes = b""  # what the terminal around tmux said
     features: str = ""  # what tmux believes of it
+    owed: int = 0  # answers to DA1 that have not come, though tmux lets that through
 
     def terminal(self, environ: Mapping[str, str], winsize: Winsize) -> Terminal:
         """The facts in it."""
@@ -204,8 +205,9 @@ def ask(
 
     Where the environment tells of a multiplexer, kitty's questions wait for the answer: tmux
     would take them for a title. Inside tmux the terminal around it is asked, past tmux; its answers
-    are typed into this pane. Where tmux lets nothing through, that costs ``seconds`` once more. The
-    first program of a new session runs before that is in a terminal: then that is waited for.
+    are typed into this pane. Where tmux lets nothing through and does not say so, that costs
+    ``seconds`` once more. The first program of a new session is quicker than tmux, which shows it
+    in a terminal only later: that is waited for.
     """
 
     def exchange(questions: Iterable[bytes]) -> None:
@@ -224,39 +226,48 @@ def ask(
     if mux == "tmux":
         through = KITTY_QUESTION, *sharing.questions(), XTVERSION, DA1
         begun = time.monotonic()
-        attached, features = tmux_client(environ)
-        late = not attached
-        while not attached and time.monotonic() < begun + ATTACH_SECONDS:
+        first = now = ask_tmux(environ)
+        while not now.attached and time.monotonic() < begun + ATTACH_SECONDS:
             time.sleep(ATTACH_GAP)
-            attached, features = tmux_client(environ)
-        exchange(map(through_tmux, through))
-        if late and attached and not DA1_ANSWER.search(answers[-1]):  # its first moments
+            now = ask_tmux(environ)
+        if now.attached and now.passes is not False:
             exchange(map(through_tmux, through))
-        return Heard(answers[0], b"".join(typed), b"".join(answers[1:]), features)
+            if not first.attached and not DA1_ANSWER.search(answers[-1]):  # its first moments
+                exchange(map(through_tmux, through))
+        around = b"".join(answers[1:])
+        late = sum(DA1_ANSWER.search(found) is None for found in answers)
+        return Heard(answers[0], b"".join(typed), around, now.features, late if now.passes else 0)
     if not mux and multiplexer("", environ):  # a window that was opened from inside one
         exchange((KITTY_QUESTION, *sharing.questions(), DA1))
     return Heard(b"".join(answers), b"".join(typed))
 
 
-def tmux_client(environ: Mapping[str, str]) -> tuple[bool, str]:
-    """Whether our tmux session is in a terminal, and what tmux believes of that.
+@dataclass(frozen=True)
+class Tmux:
+    """What tmux says of our session; as it stands here where it cannot be asked."""
 
-    "256,RGB,sixel,title" or so. What cannot be found out is taken for (True, "").
-    """
-    if not environ.get("TMUX"):  # tmux on another machine
-        return True, ""
+    attached: bool = True  # to a terminal
+    passes: bool | None = None  # whether it lets questions through to that
+    features: str = ""  # what it believes of it: "256,RGB,sixel,title" or so
+
+
+def ask_tmux(environ: Mapping[str, str]) -> Tmux:
+    """By its own command, which knows more than a tmux on another machine could tell."""
+    if not environ.get("TMUX"):
+        return Tmux()
     import subprocess
 
-    command = "tmux", "display-message", "-p", "#{session_attached} #{client_termfeatures}"
+    facts = "#{session_attached},#{allow-passthrough},#{client_termfeatures}"
     try:
         said = subprocess.run(
-            command, env=dict(environ), stdin=subprocess.DEVNULL, capture_output=True, text=True,
-            timeout=TMUX_SECONDS, check=True,
+            ("tmux", "display-message", "-p", facts), env=dict(environ), stdin=subprocess.DEVNULL,
+            capture_output=True, text=True, timeout=TMUX_SECONDS, check=True,
         )  # fmt: skip
     except (OSError, ValueError, subprocess.SubprocessError):
-        return True, ""
-    attached, _, features = said.stdout.strip().partition(" ")
-    return attached != "0", features
+        return Tmux()
+    attached, passes, features = (said.stdout.strip() + ",,").split(",", 2)
+    known = passes not in ("", "0", "off")  # 3.3: 0 or 1; later: off, on or all
+    return Tmux(attached != "0", known if passes else None, features.rstrip(","))
 
 
 def probe(
