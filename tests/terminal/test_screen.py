@@ -101,6 +101,30 @@ def test_an_xterm_is_rid_of_its_pictures(name):
         assert scroll not in help_page(facts)
 
 
+def test_what_tmux_loses_is_drawn_anew():
+    """A frame that is not acknowledged past tmux soon is lost, and maybe its picture: all again."""
+    facts = Terminal(kitty=True, multiplexer="tmux", around="kitty(0.48.2)", placeholders=True)
+
+    def kinds(now, kind):
+        heard, end = [], time.monotonic() + 10
+        while kind not in heard:
+            assert time.monotonic() < end
+            heard += [event.kind for event in now.read_events(10)]
+        return heard
+
+    with FakeTerminal(reports=False) as terminal, session(terminal, terminal=facts) as now:
+        for _ in range(2):
+            now.draw(b"kept")
+            terminal.type(b"\x1b[0n")
+            assert kinds(now, "ready") == ["ready"]
+            begun = time.monotonic()
+            now.draw(b"lost")
+            assert kinds(now, "resize") == ["resize"]
+            assert time.monotonic() - begun < screen.PATIENCE_SECONDS / 2
+            assert not now.busy
+            assert not now.waiting
+
+
 def test_a_second_signal_interrupts_work(tmp_path):
     """The first is noted while the program computes, the second ends it there."""
     working = tmp_path / "working"  # it is out of the screen's calls, which a signal would end

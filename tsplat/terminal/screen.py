@@ -56,6 +56,7 @@ STATUS_REPORT = b"\x1b[5n"  # DSR, answered CSI 0 n once all before it is done
 ESCAPE_SECONDS = 0.05  # a lone ESC older than this is the Escape key
 FRAME_SECONDS = 1.0  # a frame is given up that a terminal has not acknowledged which never did
 SLOWEST = 5e3  # bytes/s: for each 5 kB of such a frame a second more
+PASSED = 1e5  # likewise, of one that answers past tmux on this machine; tmux may lose either
 PATIENCE_SECONDS = 20.0  # and of one that did: the line is slow, or the network away for a while
 BURST_SECONDS = 0.01  # what ``max_rate`` allows in that time goes at once
 PIECE = 256  # bytes; a tty that can be written to takes so many without a long wait
@@ -428,8 +429,7 @@ class Screen:
         elif self._answering:
             self._unanswered, self._sent, self._to_tell = self._unanswered + 1, now, True
             # tmux would answer at once, however far behind the terminal around it is
-            through = self.terminal.kitty and self.terminal.around
-            data += through_tmux(STATUS_REPORT) if through else STATUS_REPORT
+            data += through_tmux(STATUS_REPORT) if self._passed else STATUS_REPORT
             self.link.begin(now, len(data), sum(map(len, self._rest)))
             self._send(data)
         else:
@@ -464,9 +464,18 @@ class Screen:
         return max(0.0, min(self._sent + self._limit - now, wait))
 
     @property
+    def _passed(self) -> bool:
+        """Whether pictures, and questions about them, go past a tmux, which may lose them.
+
+        It does while it draws a pane anew, and while another window is shown (tmux 3.3a).
+        """
+        return self.terminal.kitty and bool(self.terminal.around)
+
+    @property
     def _limit(self) -> float:
         if self._answered:
-            return PATIENCE_SECONDS
+            local = self._passed and not self.far
+            return FRAME_SECONDS + self.link.under_way / PASSED if local else PATIENCE_SECONDS
         return FRAME_SECONDS + self.link.under_way / SLOWEST
 
     # --- input
@@ -568,7 +577,12 @@ class Screen:
         if self._decoder.pending and now >= self._heard + ESCAPE_SECONDS:
             self._queue += self._decoder.flush()
             self._heard = now
-        if self._unanswered and now >= self._sent + self._limit:
+        if self._unanswered and now >= self._sent + self._limit and self._answered and self._passed:
+            self._unanswered = 0  # it does not come any more, nor may the picture have come
+            self.link.lost()
+            self._to_tell = False
+            self._queue.append(Event("resize"))
+        elif self._unanswered and now >= self._sent + self._limit:
             self._overdue, self._unanswered = self._overdue + self._unanswered, 0
             self._given_up += 1
             self._answering = self._given_up < GIVE_UPS
