@@ -113,8 +113,10 @@ def test_what_tmux_loses_is_drawn_anew():
         return heard
 
     with FakeTerminal(reports=False) as terminal, session(terminal, terminal=facts) as now:
-        for _ in range(2):
+        past = b"\x1bPtmux;\x1b\x1b[5n\x1b\\"
+        for i in range(2):
             now.draw(b"kept")
+            terminal.wait_for(b"kept\x1b[?2026l" + past)
             terminal.type(b"\x1b[0n")
             assert kinds(now, "ready") == ["ready"]
             begun = time.monotonic()
@@ -123,6 +125,13 @@ def test_what_tmux_loses_is_drawn_anew():
             assert time.monotonic() - begun < screen.PATIENCE_SECONDS / 2
             assert not now.busy
             assert not now.waiting
+            now.draw(b"again %d" % i)  # in another pane its answer would be typed into a shell
+            terminal.wait_for(b"again %d\x1b[?2026l\x1b[5n" % i)
+            terminal.type(b"\x1b[0n")
+            assert kinds(now, "ready") == ["ready"]
+            terminal.type(b"k")
+            assert kinds(now, "key") == ["key"]
+            terminal.output = b""
 
 
 def test_a_second_signal_interrupts_work(tmp_path):

@@ -116,7 +116,7 @@ def cleared(terminal: Terminal) -> bytes:
 def scrolled_out(terminal: Terminal) -> bytes:
     """What takes sixel pictures off the screen of an xterm; b"" for others.
 
-    xterm (379 and 412) keeps up to 16 that are covered or erased, and goes through their px for
+    xterm (379 and 412) keeps those that are covered or erased, and goes through their px for
     each character that it writes: 0.2 to 0.5 s a screenful. It passes by what has left the screen.
     """
     keeps = terminal.sixel and terminal.name.startswith("XTerm(")

@@ -134,6 +134,7 @@ class Screen:
         self._unanswered = self._overdue = self._given_up = 0  # status reports
         self._sent = self._heard = 0.0  # s, monotonic: last output of a tracked frame, last input
         self._answered = False  # a status report, ever
+        self._lost = False  # one past tmux, since the last key
         self.link = Link()
         self.flights: deque[Flight] = deque()  # of frames acknowledged, until somebody takes them
         self._to_tell = False  # a tracked frame was drawn, and no "ready" has come since
@@ -467,9 +468,10 @@ class Screen:
     def _passed(self) -> bool:
         """Whether pictures, and questions about them, go past a tmux, which may lose them.
 
-        It does while it draws a pane anew, and while another window is shown (tmux 3.3a).
+        It was seen to, now and then (3.3a); and answers go to the pane that keys go to. So after a
+        loss tmux itself is asked, until a key comes.
         """
-        return self.terminal.kitty and bool(self.terminal.around)
+        return self.terminal.kitty and bool(self.terminal.around) and not self._lost
 
     @property
     def _limit(self) -> float:
@@ -540,7 +542,9 @@ class Screen:
         for event in events:
             if event.kind == "resize":
                 self._take_size(event)
-            elif event.kind != "ready":
+                continue
+            self._lost &= event.kind not in ("key", "mouse")
+            if event.kind != "ready":
                 self._queue.append(event)
             elif self._overdue:
                 self._overdue -= 1  # of a frame given up: it is slow, but it answers
@@ -577,7 +581,8 @@ class Screen:
         if self._decoder.pending and now >= self._heard + ESCAPE_SECONDS:
             self._queue += self._decoder.flush()
             self._heard = now
-        if self._unanswered and now >= self._sent + self._limit and self._answered and self._passed:
+        if self._unanswered and now >= self._sent + self._limit and self._passed:
+            self._lost = True
             self._unanswered = 0  # it does not come any more, nor may the picture have come
             self.link.lost()
             self._to_tell = False
