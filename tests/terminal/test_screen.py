@@ -12,6 +12,7 @@ from tests.modes import TELLS, left_on
 from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
 from tsplat.terminal import Event, Screen, screen
+from tsplat.terminal.link import _Sample
 
 ENVIRON = {"TERM": "xterm"}
 # The last is a question: its answer is the last thing to come
@@ -494,9 +495,10 @@ def test_a_far_terminal_gets_the_next_frame_before_it_answers():
         open_screen.draw(b"NEAR")
         assert open_screen.busy
         open_screen.link.lost()
+        open_screen._updates.clear()
         open_screen._unanswered = 0
         open_screen.link.latency = 5.0
-        open_screen.link._samples += [(100_000, 1.0)] * 3
+        open_screen.link._samples += [_Sample(100_000, 1.0, 0.0)] * 3
         for n in range(3):
             open_screen.draw(b"ONE" * 1000)
             assert open_screen.read_events(2) == [Event("ready")]

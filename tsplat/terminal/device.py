@@ -172,6 +172,7 @@ class Heard:
     typed: bytes = b""  # keys pressed meanwhile
     around: bytes = b""  # what the terminal around tmux said
     features: str = ""  # what tmux believes of it
+    asked: int = 0  # bytes of the questions
 
     def terminal(self, environ: Mapping[str, str], winsize: Winsize) -> Terminal:
         """The facts in it."""
@@ -189,11 +190,13 @@ def ask(
     """
 
     def exchange(questions: Iterable[bytes]) -> None:
-        write_all(fd_out, b"".join(questions), seconds)
+        asked.append(b"".join(questions))
+        write_all(fd_out, asked[-1], seconds)
         found, keys = split_answers(read_answers(fd_in, seconds))
         answers.append(found)
         typed.append(keys)
 
+    asked: list[bytes] = []
     answers: list[bytes] = []
     typed: list[bytes] = []
     if not multiplexer("", environ):
@@ -204,10 +207,11 @@ def ask(
     if mux == "tmux":
         through = KITTY_QUESTION, *sharing.questions(), XTVERSION, DA1
         exchange(map(through_tmux, through))
-        return Heard(answers[0], b"".join(typed), answers[1], tmux_features(environ))
+        features, size = tmux_features(environ), sum(map(len, asked))
+        return Heard(answers[0], b"".join(typed), answers[1], features, size)
     if not mux and multiplexer("", environ):  # a window that was opened from inside one
         exchange((KITTY_QUESTION, *sharing.questions(), DA1))
-    return Heard(b"".join(answers), b"".join(typed))
+    return Heard(b"".join(answers), b"".join(typed), asked=sum(map(len, asked)))
 
 
 def tmux_features(environ: Mapping[str, str]) -> str:
