@@ -85,6 +85,7 @@ class Link:
         self._flying: deque[_Frame] = deque()
         self._answered = -math.inf  # the last answer
         self._samples: deque[_Sample] = deque(maxlen=SAMPLES)
+        self._small: _Sample | None = None  # the last, if it was too small for one
         self._hungry = 0  # frames in a row that the bottleneck had to wait for
         # When the bottleneck has sent what it was given, if ``rate`` is right
         self._drained = -math.inf
@@ -164,15 +165,18 @@ class Link:
     def _measure(self, frame: _Frame, now: float) -> float:
         """Seconds that the bottleneck was busy with ``frame``, answered now. Takes a sample."""
         latency = self.latency if self.far and self.latency is not None else 0.0
-        if not latency or frame.begun + latency <= self._answered:
-            seconds = now - max(frame.begun, self._answered)
-            if not self._together(frame, seconds):
-                self._take(frame, frame.size, seconds, now)
-            return seconds
-        size, seconds = frame.size - self._least, now - frame.begun - latency
-        self._take(frame, size, seconds, now)
-        rate = self.rate
-        return seconds + (min(self._least, frame.size) / rate if rate else 0.0)
+        small, self._small = self._small, None
+        if latency and frame.begun + latency > self._answered:
+            size, seconds = frame.size - self._least, now - frame.begun - latency
+            self._take(frame, size, seconds, now)
+            rate = self.rate
+            return seconds + (min(self._least, frame.size) / rate if rate else 0.0)
+        size, seconds = frame.size, now - max(frame.begun, self._answered)
+        if small is not None:
+            self._take(frame, size + small.size, seconds + small.seconds, now)
+        elif not self._together(frame, seconds):
+            self._take(frame, size, seconds, now)
+        return seconds
 
     def _together(self, frame: _Frame, seconds: float) -> bool:
         """Adds ``frame`` to the sample before it, if a late answer is why it seems the quicker."""
@@ -185,18 +189,20 @@ class Link:
         return True
 
     def _take(self, frame: _Frame, size: int, seconds: float, now: float) -> None:
-        """``size`` bytes of ``frame`` took the bottleneck so many ``seconds``."""
+        """``size`` bytes, ``frame`` the last of them, took the bottleneck so many ``seconds``."""
+        sample = _Sample(max(0, size), max(seconds, SHORTEST), now)
         if size < LEAST or seconds <= 0:
+            self._small = sample if self.far else None
             return
         if self._starved(frame, now):
             # it takes more than it was given: PACED s of bytes, at least, in that time
             share = PACED / (frame.ended - frame.begun) * HASTE**self._hungry
-            seconds /= min(GROWTH, 1 + share)
+            sample.seconds /= min(GROWTH, 1 + share)
             self._hungry += 1
             self._samples.clear()  # they say what it was
         else:
             self._hungry = 0
-        self._samples.append(_Sample(size, max(seconds, SHORTEST), now))
+        self._samples.append(sample)
 
     def _starved(self, frame: _Frame, now: float) -> bool:
         """Whether the bottleneck waited for what :attr:`opens` held back: it takes more than that.
