@@ -77,7 +77,8 @@ def in_parts(payload: bytes, size: float) -> list[bytes]:
     """
     parts, begin = [], 0
     if len(payload) >= PARTED * size:
-        while found := PART_BEGINS.search(payload, begin + max(1, int(size))):
+        least = max(1, int(size))
+        while found := PART_BEGINS.search(payload, begin + least, len(payload) - least):
             parts.append(payload[begin : found.start()])
             begin = found.start()
     return [*parts, payload[begin:]]
