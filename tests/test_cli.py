@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from tests.conftest import ROOT, gaussians, straight
+from tests.io import spzwriter
 from tsplat.commands.info import describe
 from tsplat.core import reference
 from tsplat.core.params import RenderParams
@@ -190,7 +191,7 @@ def test_info_describes_the_file(ply):
     assert "content" in text
 
 
-def test_info_names_the_format(ply, tmp_path):
+def test_info_names_the_level_of_a_ksplat(ply, tmp_path):
     """What reads the file, and what matters of the format."""
     from tests.io.splatwriter import drawn, write_ksplat
 
@@ -199,6 +200,104 @@ def test_info_names_the_format(ply, tmp_path):
     for file, name in ((ply, "ply"), (path, "ksplat level 1, SH 2")):
         assert json.loads(tsplat("info", file, "--json").stdout)["format"] == name
         assert re.search(rf"format +{name} *\n", tsplat("info", file).stdout.decode())
+
+
+@pytest.fixture(scope="module")
+def smooth(tmp_path_factory):
+    """An SPZ file of small Gaussians that says it was trained with antialiasing."""
+    planes = spzwriter.random_planes(400, 3, 1)
+    planes[3] = bytes(b % 40 + 70 for b in planes[3])  # sizes of 0.004 to 0.04
+    path = tmp_path_factory.mktemp("smooth") / "a.spz"
+    path.write_bytes(spzwriter.packed(400, 3, 1, planes, fraction=20, flags=1))
+    return path
+
+
+def test_antialiasing_is_what_the_file_says(smooth, ply, tmp_path):
+    """Without a word it is on where the file says so; --no-antialias and --antialias overrule."""
+
+    def picture(*words):
+        out = tmp_path / "out.npy"
+        tsplat("render", *words, "-o", out, "--size", "64x48")
+        return np.load(out)
+
+    said, on, off = (
+        picture(smooth),
+        picture(smooth, "--antialias"),
+        picture(smooth, "--no-antialias"),
+    )
+    assert (said == on).all()
+    assert np.abs(on - off).max() > 0.01
+    assert (picture(ply) == picture(ply, "--no-antialias")).all()
+
+
+def test_info_names_the_format(smooth, ply):
+    """Format, version and what matters of it; of a PLY, its reader's name."""
+    facts = json.loads(tsplat("info", smooth, "--json").stdout)
+    assert (facts["format"], facts["antialias"]) == ("spz 3, SH 1, antialiased", True)
+    assert "spz 3, SH 1, antialiased" in tsplat("info", smooth).stdout.decode()
+    facts = json.loads(tsplat("info", ply, "--json").stdout)
+    assert (facts["format"], facts["antialias"]) == ("ply", None)
+
+
+def test_up_is_known_or_said(ply, tmp_path):
+    """From a comment, from cameras beside the file, or not at all; --up and --flip-y overrule."""
+
+    def known(path):
+        return json.loads(tsplat("info", path, "--json").stdout)["up"]
+
+    def picture(path, *words):
+        out = tmp_path / "out.npy"
+        tsplat("render", path, *words, "-o", out, "--size", "64x48")
+        return np.load(out)
+
+    content = ply.read_bytes()  # beside other cameras
+    ply = tmp_path / "plain.ply"
+    ply.write_bytes(content)
+    assert known(ply)["direction"] == [0, -1, 0]
+    assert "COLMAP" in known(ply)["why"]
+    said = tmp_path / "said.ply"
+    words = b"\ncomment Vertical Axis: z\nelement"
+    said.write_bytes(content.replace(b"\nelement", words, 1))
+    assert known(said) == {"direction": [0, 0, 1], "why": "the file says: Vertical axis: z"}
+    np.testing.assert_array_equal(picture(said), picture(ply, "--up", "z"))
+    np.testing.assert_array_equal(picture(ply, "--flip-y"), picture(ply, "--up", "0,1,0"))
+    np.testing.assert_array_equal(picture(said, "--flip-y"), picture(ply, "--up", "-z"))
+    assert np.abs(picture(ply) - picture(said)).max() > 0.1
+    beside = tmp_path / "a.ply"
+    beside.write_bytes(content)
+    placed = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
+    frames = {"w": 9, "h": 9, "fl_x": 9, "frames": [{"transform_matrix": placed}]}
+    (tmp_path / "transforms.json").write_text(json.dumps(frames))
+    assert known(beside)["direction"] == [0, 1, 0]
+    assert known(said)["direction"] == [0, 0, 1]
+    np.testing.assert_array_equal(picture(beside, "--up=-y"), picture(beside, "--flip-y"))
+    (tmp_path / "transforms.json").write_text("{")
+    assert known(beside)["direction"] == [0, -1, 0]
+    told = tsplat("render", ply, "--up", "z", "--flip-y", "-o", "x.png", code=1)
+    assert b"leave one out" in told.stderr
+    told = tsplat("render", ply, "--up", "up", "-o", "x.png", code=2)
+    assert b"expected x, -x, y, -y, z, -z or three numbers" in told.stderr
+
+
+def test_filters_are_of_every_command(ply, tmp_path):
+    """info counts what they leave out; render draws the rest; check and bench take the rest."""
+    words = ("--min-opacity", "0.4", "--max-scale", "0.2", "--trim", "2")
+    facts = json.loads(tsplat("info", ply, "--json", *words).stdout)
+    assert facts["gaussians"] + sum(facts["dropped"].values()) == 300
+    assert set(facts["dropped"]) == {
+        "below --min-opacity 0.4", "above --max-scale 0.2", "outside --trim 2",
+    }  # fmt: skip
+    made = json.loads(
+        tsplat("render", ply, *words, "-o", tmp_path / "a.png", "--size", "40x30", "--json").stdout
+    )
+    assert made["gaussians"] == facts["gaussians"]
+    table = json.loads(
+        tsplat("check", ply, *words, "--backend", "cffi", "--size", "40x30", "--json").stdout
+    )
+    assert table["gaussians"] == facts["gaussians"]
+    for command in (("render", ply, "-o", tmp_path / "a.png"), ("check", ply), ("bench", ply)):
+        told = tsplat(*command, "--max-scale", "1e-9", code=1)
+        assert b"nothing is left of 300 Gaussians (max_scale=1e-09); filter less" in told.stderr
 
 
 def test_info_says_where_rows_lie(scene):

@@ -40,6 +40,9 @@ BUILT_IN = (
     "tsplat.io.ply",
     "tsplat.io.ksplat",
     "tsplat.io.splat",
+    "tsplat.io.spz",
+    "tsplat.io.sog",
+    "tsplat.io.gltf",
 )
 ENVIRONMENT = "TSPLAT_PLUGINS"
 OWN = "tsplat"

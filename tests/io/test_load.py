@@ -7,12 +7,12 @@ import io
 import json
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import pytest
 
 import tsplat.io
+from tests.io import gltfwriter, sogwriter, spzwriter
 from tests.io.plywriter import raw_columns, write_ply
 from tsplat import plugins
 from tsplat.core.errors import SceneError
@@ -20,30 +20,14 @@ from tsplat.io import load_scene, progress, scene_from_arrays
 from tsplat.io.base import Reader
 
 
-def sog() -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr(zipfile.ZipInfo("meta.json"), "{}")
-    return buffer.getvalue()
-
-
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
-        (
-            "a.spz",
-            gzip.compress(b"NGSP" + bytes(40), mtime=0),
-            "SPZ files are not read yet; convert to PLY",
-        ),
-        ("a.spz", b"NGSP" + bytes(40), "SPZ files are not read yet"),
         ("a.bin", gzip.compress(b"something", mtime=0), "gzip-compressed file; unpack it"),
-        ("a.sog", sog(), "SOG files are not read yet"),
-        ("meta.json", b'{"means": {}}', "SOG files are not read yet"),
+        ("lod-meta.json", b'{"lodLevels": 7}', "name the folder of one of them"),
         ("a.zip", b"PK\x03\x04" + bytes(30), "zip archive"),
         ("a.splat", bytes(64), "unknown format: named .splat, but its first rows of 32 bytes"),
         ("a.ksplat", bytes(99), "unknown format: named .ksplat, but its first 4096 bytes are no"),
-        ("a.glb", b"glTF" + bytes(9), "glTF files are not read yet; export the splats as PLY"),
-        ("a.gltf", b'{"asset": {}}', "glTF files are not read yet"),
         ("a.ply", b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
         ("a.ply", b"\n<!DOCTYPE html>", "web page"),
         ("a.txt", b"hello", "unknown format"),
@@ -56,12 +40,28 @@ def test_foreign_files_are_named(tmp_path, name, content, expected):
     with pytest.raises(SceneError) as caught:
         load_scene(path)
     assert expected in str(caught.value)
-    assert "formats read: " in str(caught.value)
+    assert "formats read: compressed-ply, gltf, ksplat, ply, sog, splat, spz" in str(caught.value)
     assert str(caught.value).isprintable()
 
 
 def _reader(name, recognises, read) -> Reader:
     return Reader(name=name, summary="", recognises=recognises, load=lambda: read)
+
+
+def test_names_do_not_matter(tmp_path):
+    """Files of each format are read whatever they are called."""
+    contents = [
+        spzwriter.packed(2, 2, 0, spzwriter.random_planes(2, 2, 0)),
+        sogwriter.bundle(*sogwriter.random_scene(2, 0)[:2]),
+        gltfwriter.one(gltfwriter.random_arrays(2, 0)).glb(),
+        gltfwriter.one(gltfwriter.random_arrays(2, 0)).gltf(),
+        write_ply(tmp_path / "a", raw_columns(2, 0)).read_bytes(),
+    ]
+    for content in contents:
+        for name in ("a.ply", "a.spz", "a.sog", "a.glb", "a"):
+            (tmp_path / name).write_bytes(content)
+            scene = load_scene(tmp_path / name)
+            assert (len(scene), bool(scene.source)) == (2, True)
 
 
 @pytest.fixture
@@ -131,10 +131,12 @@ def test_a_reader_without_memory_says_what_to_do(tmp_path, with_reader):
 
 
 def test_importing_costs_nothing_heavy():
-    """tsplat.io and the row of its PLY reader import neither plyfile, rich nor Pillow."""
+    """tsplat.io and the rows of its readers import no plyfile, rich, Pillow, zip or zstd."""
     code = (
-        "import sys, tsplat.io, tsplat.io.ply; tsplat.io.ply.tsplat_readers();"
-        "print([m for m in ('plyfile', 'rich', 'PIL', 'pluggy._tracing') if m in sys.modules])"
+        "import sys, tsplat.io; from tsplat.io import ply, spz, sog, gltf\n"
+        "for m in (ply, spz, sog, gltf): m.tsplat_readers()\n"
+        "heavy = ('plyfile', 'rich', 'PIL', 'zipfile', 'backports', 'pluggy._tracing')\n"
+        "print([m for m in heavy if m in sys.modules])"
     )
     root = Path(tsplat.io.__file__).parents[2]
     run = subprocess.run(

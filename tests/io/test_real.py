@@ -105,13 +105,3 @@ def test_malformed_and_foreign_files_are_refused_by_reason(path):
     with pytest.raises(SceneError, match=reason(path)) as caught:
         load_scene(DATA / path)
     assert str(caught.value).isprintable()
-
-
-@needs_data
-@pytest.mark.parametrize("suffix", ["spz", "sog", "glb"])
-def test_other_formats_are_recognised(suffix):
-    """Real files of formats that are not read yet are named."""
-    kind = {"glb": "glTF"}.get(suffix, suffix.upper())
-    path = next((DATA / "formats" / "leica-8k-sh3").glob(f"*.{suffix}"))
-    with pytest.raises(SceneError, match=f"{kind} files are not read yet"):
-        load_scene(path)

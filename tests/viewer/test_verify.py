@@ -19,7 +19,7 @@ from tests.conftest import ROOT, gaussians, straight
 from tests.io.plywriter import raw_columns, write_ply
 from tests.viewer.session import Session, parent_of
 from tsplat.cli import make_parser
-from tsplat.commands.view import check_command
+from tsplat.commands.view import check_command, scene_words
 from tsplat.core import reference
 from tsplat.core.camera import Camera
 from tsplat.core.params import RenderParams
@@ -28,6 +28,7 @@ from tsplat.io.cameras import load_camera, parse_camera_spec
 from tsplat.testing.tiles import Still, TilesCompared, cut, tile_count, tile_pixels
 from tsplat.viewer import verify
 from tsplat.viewer.breaches import FAULTS_MAX, KEPT_MAX, TOLD_MAX, BreachLog, state_directory
+from tsplat.viewer.look import Look
 from tsplat.viewer.verify import FRAME_SECONDS, REST_SECONDS, ROUND, Verifier
 
 CAMERA = straight(53, 37, 30.0)
@@ -296,6 +297,18 @@ def test_the_command_says_what_was_shown(tmp_path, monkeypatch):
         assert (read.backend, read.threads, read.max_splats) == (backend, 3, 7)
         assert (read.antialias, read.sh_float32, read.raw_opacity) == (True, True, False)
         assert read.sh_degree == 1
+
+
+@pytest.mark.parametrize("said", [None, True, False])
+def test_the_command_says_whether_to_antialias(tmp_path, said):
+    """On and off are both said, so that it holds whatever the scene's file says."""
+    viewed = make_parser().parse_args(["view", "a.spz"])
+    viewed.antialias = said
+    command = shlex.split(check_command(viewed, ["numba"], CAMERA, tmp_path / "camera.json"))
+    assert make_parser().parse_args(command[1:]).antialias is said
+    look = Look(RenderParams(antialias=bool(said)))
+    words = scene_words(viewed, look)
+    assert make_parser().parse_args(["render", *words, "-o", "a.png"]).antialias is said
 
 
 # --- in a terminal

@@ -94,7 +94,7 @@ def _drawn(
     size, pixel = presenter.size(area), presenter.pixel(area)
     samples = sampling(presenter, area)
     camera = _camera(arguments, scene, size, pixel).resized(*(n * samples for n in size))
-    settings, _ = calibrated(arguments, scene, camera, params(arguments))
+    settings, _ = calibrated(arguments, scene, camera, params(arguments, scene))
     plan = make_plan(scene, backend=arguments.backend, threads=arguments.threads, params=settings)
     frame = plan.run(scene, camera, Workspace(plan.threads)).frame
     frame = averaged(frame.over(arguments.background or (0.0, 0.0, 0.0)), samples)

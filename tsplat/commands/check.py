@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
         camera = frame_scene(scene, *(arguments.size or SIZE))
     else:
         camera = _handy(camera_from_file(arguments.camera, arguments.size), arguments.size)
-    case = Case(scene, camera, params(arguments), arguments.threads or default_threads())
+    case = Case(scene, camera, params(arguments, scene), arguments.threads or default_threads())
     loaded: list[tuple[Backend, Stages]] = []
     skipped: dict[str, str] = {}
     for row in rows:

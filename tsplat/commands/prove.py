@@ -28,7 +28,7 @@ EXAMPLE_LINES = 12  # of a failing example, on the screen
 def run(arguments: argparse.Namespace) -> int:
     """Collects the checks, runs them, reports; 1 if any is not as expected."""
     for option in ("scene", "camera", "size", "threads", "antialias"):
-        if getattr(arguments, option):
+        if getattr(arguments, option) is not None:
             raise ParamsError(f"--full and --presenter draw their own examples: leave out {option}")
     if arguments.decode and arguments.presenter is None:
         raise ParamsError("--decode is for one presenter: name it with --presenter")

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 FILM_ONLY = ("frames", "fps", "force", "presenter")
 
 
-def wanted(arguments: argparse.Namespace) -> RenderParams:
+def wanted(arguments: argparse.Namespace, scene: Scene) -> RenderParams:
     """The settings that the command line asks for, without what ``--max-error`` may choose."""
-    made = replace(params(arguments), depth=needs_depth(arguments.output))
+    made = replace(params(arguments, scene), depth=needs_depth(arguments.output))
     chosen = arguments.quality or arguments.set or arguments.max_error
     if chosen and (arguments.ideal or arguments.float64):
         raise ParamsError("--ideal and --float64 leave no choice of quality")
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     scene = load(arguments, exact=arguments.ideal or arguments.float64)
     loaded = time.perf_counter() - begin
     camera = pose(arguments, scene)
-    settings, calibration = calibrated(arguments, scene, camera, wanted(arguments))
+    settings, calibration = calibrated(arguments, scene, camera, wanted(arguments, scene))
     plan = make_plan(
         scene, backend=arguments.backend, threads=arguments.threads, params=settings,
         everything=arguments.everything,

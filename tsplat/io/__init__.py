@@ -39,10 +39,12 @@ def load_scene(
     Gaussians that cannot be drawn are left out and counted by reason in ``Scene.dropped``.
 
     Args:
-        path: a file in a format some installed plugin reads; PLY is built in.
+        path: a file in a format some installed plugin reads, or the folder of an unbundled SOG;
+            ``tsplat plugins`` lists the formats.
         max_splats: keep at most this many, drawn evenly from the whole file; the same ones on
             every run. How many that leaves out is counted too.
-        raw_opacity: the file stores opacities as 0..1, not as logits.
+        raw_opacity: the file stores opacities as 0..1, not as logits. Formats in which there is
+            nothing to choose refuse it.
         sh_float32: keep spherical harmonics in float32. Otherwise they are float16 where that
             moves no colour by a quarter of an 8-bit level; ``Scene.sh_error`` is how much it does.
         progress: called often with (done, total) in any unit;
@@ -59,7 +61,7 @@ def load_scene(
     options = ReadOptions(max_splats, raw_opacity, sh_float32=sh_float32)
     if progress is not None:
         options = replace(options, progress=progress)
-    file = Path(path)
+    file = _scene_file(Path(path))
     shown = printable(file)
     try:
         start = _start(file)
@@ -79,6 +81,15 @@ def load_scene(
     if len(scene) == 0:
         raise SceneError(f"{shown}: holds no Gaussians")
     return scene
+
+
+def _scene_file(path: Path) -> Path:
+    """``path`` itself; of a folder that is a scene, an unbundled SOG, the file to read first."""
+    inside = path / "meta.json"
+    try:
+        return inside if inside.is_file() else path
+    except OSError:  # a name that is too long
+        return path
 
 
 def _start(file: Path) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from pathlib import Path
 
 NAMED = {
@@ -15,18 +14,11 @@ NAMED = {
 def foreign(file: Path, start: bytes) -> str:
     """What ``file`` looks like by its first bytes, or what its suffix promises in vain."""
     suffix = file.suffix.lower()
-    for known, kind in (
-        (_is_spz(start), "SPZ"),
-        (start.startswith(b"PK\x03\x04") and _is_sog(file, start), "SOG"),
-        (file.name == "meta.json" and b'"means"' in start, "SOG"),
-    ):
-        if known:
-            return (
-                f"{kind} files are not read yet; convert to PLY with: "
-                f"splat-transform in{suffix} out.ply"
-            )
-    if start.startswith(b"glTF") or (b'"asset"' in start and suffix == ".gltf"):
-        return "glTF files are not read yet; export the splats as PLY instead"
+    if b'"lodLevels"' in start:
+        return (
+            "a list of levels of detail, not a scene; "
+            "name the folder of one of them, such as 0_0 beside it"
+        )
     for magic, kind in (
         (b"\x1f\x8b", "gzip-compressed file; unpack it first"),
         (b"PK\x03\x04", "zip archive; unpack it first"),
@@ -38,18 +30,3 @@ def foreign(file: Path, start: bytes) -> str:
     if suffix in NAMED:
         return f"unknown format: named {suffix}, but {NAMED[suffix]}"
     return "unknown format"
-
-
-def _is_spz(start: bytes) -> bool:
-    """Niantic's SPZ: gzip of a stream that begins "NGSP", or that stream itself (version 4)."""
-    if not start.startswith(b"\x1f\x8b"):
-        return start.startswith(b"NGSP")
-    try:
-        return zlib.decompressobj(wbits=31).decompress(start, 4) == b"NGSP"
-    except zlib.error:
-        return False
-
-
-def _is_sog(file: Path, start: bytes) -> bool:
-    """PlayCanvas' SOG: a zip of meta.json and textures."""
-    return file.suffix.lower() == ".sog" or b"meta.json" in start or b"means_l.webp" in start

@@ -1,0 +1,154 @@
+"""Gaussians that are in memory once their file is unpacked -> a Scene: SPZ, SOG, glTF.
+
+A reader says how to decode some rows; which rows, in what order and into what is decided as for
+every other format, in :mod:`tsplat.io.sweeps`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from tsplat.core.errors import printable
+from tsplat.core.types import F16, F64, I32, I64, Floats, Scene, Up
+from tsplat.io.base import ReadOptions, refuse
+from tsplat.io.clean import SceneBuilder
+from tsplat.io.sweeps import scene_of
+
+COUNT_FREE = 1 << 18
+"""Gaussians that a file may hold however small it is: some 45 MB once they are decoded."""
+
+COUNT_RATE = 2
+"""More of them for each byte of the file. Real files take 10 bytes a Gaussian and more; what claims
+less than half of one was made to fill the memory."""
+
+
+UNPACKING = 1 / 3
+"""Of the time that a compressed file takes, about what passes before rows are decoded."""
+
+
+class Gaussians(NamedTuple):
+    """Some rows of a file, decoded as :meth:`tsplat.io.clean.SceneBuilder.add` wants them."""
+
+    means: Floats  # [n, 3]
+    quats: Floats  # [n, 4]  w, x, y, z; any length
+    scales: Floats  # [n, 3]  linear
+    opacities: Floats  # [n]
+    sh: Floats | F16  # [n, K, 3]
+    sh_error: float = 0.0  # what float16 has cost, as of Scene.sh_error
+
+
+class Source(Protocol):
+    """All Gaussians of a file, to be decoded a few rows at a time, by several threads at once."""
+
+    count: int
+    coefficients: int  # K
+    wide: bool  # means need float64
+
+    def means(self, rows: slice | I64) -> Floats:
+        """[n, 3] the positions of increasing ``rows``, some of which may not be finite."""
+        ...
+
+    def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
+        """Everything about increasing ``rows``; coefficients may be float16 if ``half``."""
+        ...
+
+
+def check_count(path: Path, count: int, size: int, where: str) -> int:
+    """``count`` itself, if a file of ``size`` bytes may hold as many Gaussians.
+
+    ``where`` names the field that says so. To be asked before anything is unpacked.
+    """
+    if not count:
+        refuse(path, f"holds no Gaussians ({where} is 0)")
+    limit = COUNT_FREE + COUNT_RATE * size
+    if count > limit:
+        refuse(
+            path,
+            f"{where} promises {count} Gaussians, a file of {size} bytes holds at most {limit}; "
+            "the file is damaged, or made to fill the memory",
+        )
+    return count
+
+
+class _Numbers:
+    """The rows of a :class:`Source` are their numbers; see :class:`tsplat.io.sweeps.FileRows`."""
+
+    dtype = np.dtype(np.int64)
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def read(self, start: int, stop: int, room: I64) -> I64:
+        """``start`` to ``stop``."""
+        return np.arange(start, stop)
+
+
+def _run(numbers: I64) -> slice | I64:
+    """Increasing ``numbers`` as a slice if none is left out."""
+    if not len(numbers):
+        return slice(0, 0)
+    first, last = int(numbers[0]), int(numbers[-1])
+    return slice(first, last + 1) if last - first == len(numbers) - 1 else numbers
+
+
+class _Layout:
+    """A :class:`Source` decodes its own rows; see :class:`tsplat.io.sweeps.Layout`."""
+
+    def __init__(self, source: Source) -> None:
+        self.coefficients, self.wide = source.coefficients, source.wide
+        self._source = source
+
+    def means(self, rows: I64) -> Floats:
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+            return self._source.means(_run(rows))
+
+    def add(self, builder: SceneBuilder, to: slice | I32, rows: I64, raw_opacity: bool) -> None:
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):  # builder drops those
+            found = self._source.gaussians(_run(rows), builder.half)
+        builder.add(*found[:5], to, found.sh_error)
+
+
+def gather(
+    path: Path,
+    source: Source,
+    options: ReadOptions,
+    *,
+    about: str,
+    name: str | None = None,
+    antialias: bool | None = None,
+    up: Up | None = None,
+) -> Scene:
+    """See :func:`tsplat.io.sweeps.scene_of`; the scene's name is the file's unless given.
+
+    Raises:
+        SceneError: nothing can be drawn.
+    """
+    scene = scene_of(
+        path, _Numbers(source.count), _Layout(source), options,
+        about=about, antialias=antialias, up=up,
+    )  # fmt: skip
+    return replace(scene, name=printable(name)) if name else scene
+
+
+def stretch(options: ReadOptions, first: float, last: float) -> ReadOptions:
+    """``options`` of one step of reading, whose progress goes from ``first`` to ``last`` of 1."""
+
+    def progress(done: int, total: int) -> None:
+        options.progress(round(1000 * (first + (last - first) * done / max(total, 1))), 1000)
+
+    return replace(options, progress=progress)
+
+
+def left_of_one(parts: F64) -> F64:
+    """[n] the component that makes three others [n, 3] a unit quaternion; 0 if they are too long.
+
+    In float64: of a small one float32 would leave few digits.
+    """
+    return np.asarray(np.sqrt(np.maximum(1 - np.square(parts).sum(1), 0)))

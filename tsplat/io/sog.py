@@ -1,0 +1,365 @@
+"""PlayCanvas' SOG: a Gaussian is a pixel of several lossless images, which meta.json describes.
+
+Format: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/ (version 2);
+version 1, without a version in meta.json: splat-transform, ``src/lib/readers/read-sog-v1.ts``.
+The files lie in a folder or in a zip archive. Axes are those of a PLY file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tsplat.core.errors import printable
+from tsplat.core.types import F16, F32, F64, I64, U8, Floats, Scene
+from tsplat.hookspecs import hookimpl
+from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
+from tsplat.io.fields import JSON_MAX, Field, parse
+from tsplat.io.gather import (
+    UNPACKING,
+    Gaussians,
+    check_count,
+    gather,
+    left_of_one,
+    stretch,
+)
+from tsplat.io.half import SH_ERROR_MAX, SH_PEAKS
+
+META = "meta.json"
+ZIP = b"PK\x03\x04"
+PER_ROW = 64
+"""Palette entries in a row of the image of spherical harmonics."""
+
+DEGREES = {PER_ROW * ((d + 1) ** 2 - 1): d for d in (1, 2, 3)}
+"""Width of that image -> degree."""
+
+PALETTE_MAX = 1 << 16
+SLACK = 1 << 16
+"""Pixels that an image may have beyond twice as many as Gaussians."""
+
+TAG = 252
+"""Alpha of quats.webp, and up: which of w, x, y, z is the largest."""
+
+OTHERS = np.array([[j for j in range(4) if j != largest] + [largest] for largest in range(4)])
+"""[4, 4] where the three others and the largest stand."""
+
+_BYTES = np.arange(256, dtype=np.float64)
+SMALLEST = (_BYTES / 255 * 2 - 1) / np.sqrt(2)
+ALPHAS = (_BYTES / 255).astype(np.float32)
+
+Fetch = Callable[[Field], bytes]
+"""The content of the image that a field names."""
+
+Measure = Callable[[list[Field]], int]
+"""Bytes of the images that fields name, as they are on the disk."""
+
+
+class Splats:
+    """The pixels of all images; see :class:`tsplat.io.gather.Source`."""
+
+    wide = False  # 16 bits of a logarithm
+
+    def __init__(
+        self,
+        count: int,
+        positions: list[F32],
+        scales: list[F32],
+        colors: list[F32],
+        opacities: F32,
+        palette: F32 | None,
+        pixels: dict[str, U8],
+    ) -> None:
+        """Tables of what numbers mean, by axis or channel, and ``pixels`` [N, 4] by image.
+
+        ``positions`` are three of 65,536 entries, ``scales`` and ``colors`` three of 256,
+        ``opacities`` is one; ``palette`` is [P, K - 1, 3].
+        """
+        self.count = count
+        self.coefficients = 1 if palette is None else 1 + palette.shape[1]
+        self._positions, self._scales, self._colors = positions, scales, colors
+        self._opacities, self._palette, self._pixels = opacities, palette, pixels
+        # The tables are rounded once, not every Gaussian's coefficients
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            self._colors_16 = [table.astype(np.float16) for table in colors]
+            self._palette_16 = None if palette is None else palette.astype(np.float16)
+        self._error = _error(colors, self._colors_16, palette, self._palette_16)
+
+    def means(self, rows: slice | I64) -> Floats:
+        """See :class:`tsplat.io.gather.Source`."""
+        low, high = self._pixels["means_l"][rows], self._pixels["means_u"][rows]
+        means = np.empty((len(low), 3), np.float32)
+        for axis, table in enumerate(self._positions):
+            means[:, axis] = table[low[:, axis] | high[:, axis].astype(np.uint16) << 8]
+        return means
+
+    def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
+        """See :class:`tsplat.io.gather.Source`."""
+        half = half and self._error < SH_ERROR_MAX
+        colored, sized = self._pixels["sh0"][rows], self._pixels["scales"][rows]
+        scales = np.empty((len(sized), 3), np.float32)
+        colors, palette = (
+            (self._colors_16, self._palette_16) if half else (self._colors, self._palette)
+        )
+        sh = np.empty((len(sized), self.coefficients, 3), np.float16 if half else np.float32)
+        for i in range(3):
+            scales[:, i] = self._scales[i][sized[:, i]]
+            sh[:, 0, i] = colors[i][colored[:, i]]
+        if palette is not None:
+            labels = self._pixels["shN_labels"][rows]
+            sh[:, 1:] = palette[labels[:, 0] | labels[:, 1].astype(np.uint16) << 8]
+        return Gaussians(
+            self.means(rows), self._quats(rows), scales, self._opacities[colored[:, 3]], sh,
+            self._error if half else 0.0,
+        )  # fmt: skip
+
+    def _quats(self, rows: slice | I64) -> F32:
+        pixels = self._pixels["quats"][rows]
+        parts = SMALLEST[pixels[:, :3]]
+        whole = np.concatenate([parts, left_of_one(parts)[:, None]], 1, dtype=np.float32)
+        tags = pixels[:, 3]
+        whole[tags < TAG] = 0  # no rotation: the builder drops it
+        quats = np.empty_like(whole)
+        np.put_along_axis(quats, OTHERS[np.maximum(tags, TAG) - TAG], whole, 1)
+        return quats
+
+
+def _logarithmic(low: float, high: float) -> F32:
+    """[65536] positions: sign(v) (e^|v| - 1), v evenly from ``low`` to ``high``."""
+    values = low + (high - low) * (np.arange(65536) / 65535)
+    with np.errstate(over="ignore"):  # infinite: the builder drops it
+        return (np.sign(values) * np.expm1(np.abs(values))).astype(np.float32)
+
+
+def _codebook(field: Field) -> F64:
+    """[256] what a byte means; NaN where the file does not say: the builder drops it."""
+    given = field.get("codebook").numbers(1, 256)
+    table = np.full(256, np.nan)
+    table[: len(given)] = given
+    return table
+
+
+def _linear(low: float, high: float) -> F64:
+    """[256] what a byte means, evenly from ``low`` to ``high``."""
+    return low + (high - low) * (_BYTES / 255)
+
+
+def _spans(field: Field, length: int) -> list[tuple[float, float]]:
+    lows = field.get("mins").numbers(length).tolist()
+    return list(zip(lows, field.get("maxs").numbers(length).tolist(), strict=True))
+
+
+def _sigmoid(logits: F64) -> F64:
+    with np.errstate(over="ignore"):
+        return 1 / (1 + np.exp(-logits))
+
+
+def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: ReadOptions) -> Scene:
+    """The scene that ``meta`` describes."""
+    version = meta.maybe("version")
+    old = version is None
+    if version is not None and version.integer(1, 2**53) != 2:
+        version.wrong("2 (version 1 says none)")
+    if not old:
+        refuse_raw_opacity(path, options, "SOG 2")
+    means, sh0, scales = meta.get("means"), meta.get("sh0"), meta.get("scales")
+    harmonics = meta.maybe("shN")
+    images = {
+        "means_l": means.get("files").items(2)[0], "means_u": means.get("files").items(2)[1],
+        "scales": scales.get("files").items(1)[0], "sh0": sh0.get("files").items(1)[0],
+        "quats": meta.get("quats").get("files").items(1)[0],
+    }  # fmt: skip
+    if harmonics is not None:
+        images["shN_labels"] = harmonics.get("files").items(2)[1]
+    counted = means.get("shape").items()[0] if old and _listed(means, "shape") else None
+    counted = counted or meta.get("count")
+    count = check_count(path, counted.integer(0), measure(list(images.values())), counted.place)
+    most = 2 * count + SLACK
+    if old:
+        logs = [_linear(*span) for span in _spans(scales, 3)]
+        *colors, logits = [_linear(*span) for span in _spans(sh0, 4)]
+        opacities = (logits if options.raw_opacity else _sigmoid(logits)).astype(np.float32)
+    else:
+        logs, colors = [_codebook(scales)] * 3, [_codebook(sh0)] * 3
+        opacities = ALPHAS
+    positions = [_logarithmic(*span) for span in _spans(means, 3)]
+    palette = None
+    if harmonics is not None:
+        palette = _palette(path, harmonics, fetch, old=old)
+    pixels: dict[str, U8] = {}
+    for done, (key, name) in enumerate(images.items()):
+        stretch(options, 0, UNPACKING).progress(done, len(images))
+        decoded, _ = _image(path, name, fetch, count, most)
+        pixels[key] = decoded[:count]
+    if palette is not None:
+        top = _largest_label(pixels["shN_labels"])
+        if top >= len(palette):
+            refuse(
+                path,
+                f"{images['shN_labels'].place}: a label is {top}, the palette has "
+                f"{len(palette)} entries; the file is damaged",
+            )
+    with np.errstate(over="ignore", under="ignore"):
+        sizes = [np.exp(log).astype(np.float32) for log in logs]
+        hues = [color.astype(np.float32) for color in colors]
+        source = Splats(count, positions, sizes, hues, opacities, palette, pixels)
+    antialias = _antialias(meta)
+    degree = 0 if palette is None else DEGREES[PER_ROW * palette.shape[1]]
+    about = f"sog {1 if old else 2}, SH {degree}{', antialiased' if antialias else ''}"
+    bundle = path.name != META
+    return gather(
+        path, source, stretch(options, UNPACKING, 1),
+        about=about if bundle else f"{about}, unbundled",
+        antialias=antialias, name=path.name if bundle else path.absolute().parent.name,
+    )  # fmt: skip
+
+
+def _antialias(meta: Field) -> bool | None:
+    """What ``antialias`` says, or, in newer files, ``model``."""
+    smooth, model = meta.maybe("antialias"), meta.maybe("model")
+    if smooth is not None and isinstance(smooth.value, bool):
+        return smooth.value
+    return None if model is None else model.value == "antialiased"
+
+
+def _listed(field: Field, key: str) -> bool:
+    found = field.maybe(key)
+    return found is not None and isinstance(found.value, list) and len(found.value) > 0
+
+
+def _error(
+    colors: list[F32], colors_16: list[F16], palette: F32 | None, palette_16: F16 | None
+) -> float:
+    """How far float16 may move a colour: the worst base colour's part and the worst entry's.
+
+    Not a number where a table is not: then it is for float32.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        worst = max(
+            float(np.nanmax(np.abs(half.astype(np.float64) - full)) * SH_PEAKS[0])
+            for half, full in zip(colors_16, colors, strict=True)
+        )
+        if palette is None or palette_16 is None:
+            return worst
+        peaks = np.array(SH_PEAKS[1 : 1 + palette.shape[1]])
+        off = np.abs(palette_16.astype(np.float64) - palette)
+        return worst + float(np.einsum("pkc,k->pc", off, peaks).max())
+
+
+def _largest_label(labels: U8) -> int:
+    high = int(labels[:, 1].max())
+    return high << 8 | int(labels[labels[:, 1] == high, 0].max())
+
+
+def _image(path: Path, name: Field, fetch: Fetch, least: int, most: int) -> tuple[U8, int]:
+    from tsplat.io.pixels import pixels
+
+    place = f"{name.place} {printable(name.value, 40)}"
+    return pixels(path, place, fetch(name), least, most)
+
+
+def _palette(path: Path, field: Field, fetch: Fetch, *, old: bool) -> F32:
+    """[P, K - 1, 3] coefficients of degree 1 and up that Gaussians share."""
+    name = field.get("files").items(2)[0]
+    most = (PALETTE_MAX // PER_ROW) * max(DEGREES)
+    pixels, width = _image(path, name, fetch, 1, most)
+    if width not in DEGREES:
+        refuse(
+            path,
+            f"{name.place}: {width} pixels wide, expected "
+            f"{', '.join(map(str, DEGREES))} (degree 1, 2, 3)",
+        )
+    bands = field.maybe("bands")
+    if bands is not None and bands.integer(1, 3) != DEGREES[width]:
+        bands.wrong(f"{DEGREES[width]}, because {name.place} is {width} pixels wide")
+    if old:
+        table = _linear(field.get("mins").number(), field.get("maxs").number())
+    else:
+        table = _codebook(field)
+    with np.errstate(over="ignore"):
+        values = table.astype(np.float32)[pixels[:, :3]]
+    palette = values.reshape(len(pixels) // (width // PER_ROW), -1, 3)
+    promised = field.maybe("count")
+    return palette if promised is None else palette[: promised.integer(1, len(palette))]
+
+
+def _bundle(path: Path, options: ReadOptions) -> Scene:
+    from tsplat.io.bundle import Bundle
+
+    with Bundle(path) as bundle:
+        names = [n for n in bundle.names if n == META or n.endswith("/" + META)]
+        if not names:
+            inside = ", ".join(printable(n, 40) for n in bundle.names[:8]) or "nothing"
+            refuse(path, f"a zip archive without {META}, which a SOG has; it holds {inside}")
+        first = min(names, key=len)
+        meta = parse(path, META, bundle.read(first, META, JSON_MAX))
+
+        def fetch(name: Field) -> bytes:
+            member = first.removesuffix(META) + name.text()
+            if member not in bundle.names:
+                refuse(
+                    path,
+                    f"{name.place} names {printable(name.value, 60)}, which is not in the archive",
+                )
+            # a WebP is not compressed further; deflate takes off a little, or what was idle
+            return bundle.read(member, name.place, 4 * bundle.size + (1 << 20))
+
+        return _decode(path, meta, fetch, lambda _: bundle.size, options)
+
+
+def _folder(path: Path, options: ReadOptions) -> Scene:
+    meta = parse(path, "", _bounded(path))
+
+    def fetch(name: Field) -> bytes:
+        return name.inside().read_bytes()
+
+    def measure(names: list[Field]) -> int:
+        return sum(name.inside().stat().st_size for name in names)
+
+    return _decode(path, meta, fetch, measure, options)
+
+
+def _bounded(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(JSON_MAX + 1)
+
+
+def recognises(start: bytes) -> bool:
+    """Whether a file begins like a zip archive of a SOG, or like its meta.json."""
+    if start.startswith(ZIP):
+        return re.search(rb"meta\.json|\.webp", start) is not None
+    return re.match(rb"(\xef\xbb\xbf)?\s*\{", start) is not None and b'"means"' in start
+
+
+def read(path: Path, options: ReadOptions) -> Scene:
+    """See :class:`tsplat.io.base.Read`.
+
+    Memory: the scene, 4 bytes a Gaussian and image (20, 24 with spherical harmonics), and while an
+    image is decoded three times as much of that one: 200 bytes a Gaussian, of which the file has
+    15 to 40.
+    """
+    with path.open("rb") as stream:
+        bundle = stream.read(len(ZIP)) == ZIP
+    return _bundle(path, options) if bundle else _folder(path, options)
+
+
+def _load() -> Read:
+    import tsplat.io.pixels  # noqa: F401 - Pillow, and what is wrong with it, now
+
+    return read
+
+
+SOG = Reader(
+    name="sog",
+    summary="PlayCanvas' SOG, versions 1 and 2: a .sog file, its folder or its meta.json",
+    recognises=recognises,
+    load=_load,
+)
+
+
+@hookimpl
+def tsplat_readers() -> list[Reader]:
+    """See :func:`tsplat.hookspecs.tsplat_readers`."""
+    return [SOG]
