@@ -24,7 +24,7 @@ def shaded(
     shown: F32 = np.clip(frame.rgb, 0, 1).astype(np.float32)
     rgb: F32 = np.rint(shown * steps) / steps
     if before is not None and before.rgb.shape == frame.rgb.shape:
-        near = (np.abs(shown - before.rgb) < 1 / steps).all(-1)
+        near = np.all(np.abs(shown - before.rgb) < 1 / steps, axis=-1)
         wide, high = cell
         if cell != (1, 1):
             rows, columns = near.shape[0] // high, near.shape[1] // wide
