@@ -193,6 +193,8 @@ class Link:
         sample = _Sample(max(0, size), max(seconds, SHORTEST), now)
         if size < LEAST or seconds <= 0:
             self._small = sample if self.far else None
+            if size >= LEAST and not self._samples:  # as quick as the least: no slower than this
+                self._samples.append(_Sample(frame.size, now - frame.begun, now))
             return
         if self._starved(frame, now):
             # it takes more than it was given: PACED s of bytes, at least, in that time
