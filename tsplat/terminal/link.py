@@ -23,6 +23,7 @@ AHEAD = 0.015  # s before the bottleneck runs dry the next frame may go: timers 
 PACED = 0.050  # s of bytes that are given to it at a time: what a key may find in its way
 PIECE_SECONDS = 0.01  # s of bytes that are worth writing
 SAMPLES = 8  # that the rate is of
+LEAST_PART = 4096  # bytes; a report for less is not worth while
 LEAST = 1000  # bytes; what takes no time on the way says nothing about the rate
 STALLED = 0.7  # of the others' rate: what is slower was held up by something else
 GROWTH = 1.5  # of the rate at most, where the link was faster than believed
@@ -282,4 +283,4 @@ class Link:
 
         So that what it finds on its way is heard of before it is all sent.
         """
-        return PACED * self.rate if self.far and self.rate else math.inf
+        return max(LEAST_PART, PACED * self.rate) if self.far and self.rate else math.inf
