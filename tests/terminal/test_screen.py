@@ -1,6 +1,8 @@
 """A session leaves no trace, however it ends, and frames and events pass as promised."""
 
+import math
 import os
+import re
 import signal
 import threading
 import time
@@ -12,6 +14,7 @@ from tests.modes import TELLS, left_on
 from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
 from tsplat.terminal import Event, Screen, screen
+from tsplat.terminal.link import _Sample
 from tsplat.viewer.text import help_page
 
 ENVIRON = {"TERM": "xterm"}
@@ -547,9 +550,10 @@ def test_a_far_terminal_gets_the_next_frame_before_it_answers():
         open_screen.draw(b"NEAR")
         assert open_screen.busy
         open_screen.link.lost()
+        open_screen._updates.clear()
         open_screen._unanswered = 0
         open_screen.link.latency = 5.0
-        open_screen.link._samples += [(100_000, 1.0)] * 3
+        open_screen.link._samples += [_Sample(100_000, 1.0, 0.0)] * 3
         for n in range(3):
             open_screen.draw(b"ONE" * 1000)
             assert open_screen.read_events(2) == [Event("ready")]
@@ -582,3 +586,64 @@ def test_a_frame_that_is_through_is_asked_about_once():
         assert open_screen.read_events(2) == [Event("ready")]
         terminal.settle()
         assert terminal.output.count(b"\x1b[5n") == 2
+
+
+CHUNKS = b"".join(b"\x1b_Gm=1;%s\x1b\\" % (b"%04d" % n * 500) for n in range(40))
+
+
+def test_parts_begin_where_sequences_do():
+    """Together they are the picture; none of a string is cut, nor what is doubled for tmux."""
+    cells = b"".join(b"\x1b[38;2;%d;0;0m\xe2\x96\x80" % (n % 256) for n in range(4000))
+    inside = b"\x1bPtmux;" + CHUNKS.replace(b"\x1b", b"\x1b\x1b") + b"\x1b\\"
+    for payload, several in [(CHUNKS, True), (cells, True), (inside, False), (b"\x1bPq1;", False)]:
+        parts = screen.in_parts(payload, 6000)
+        assert b"".join(parts) == payload
+        assert (len(parts) > 5) == several
+        if several:
+            assert all(6000 <= len(part) < 16_000 for part in parts)
+            assert all(re.match(rb"\x1b[\[_]", part) for part in parts)
+    assert screen.in_parts(CHUNKS, math.inf) == [CHUNKS]
+    assert screen.in_parts(CHUNKS, len(CHUNKS) / 3) == [CHUNKS]
+
+
+def far_away(open_screen, rate=1e6):
+    """A link of ``rate`` bytes/s that is known to be far."""
+    open_screen.link.lost()
+    open_screen.link.latency = 0.1
+    open_screen.link._samples += [_Sample(int(rate), 1.0, 0.0)] * 8
+
+
+def test_a_large_picture_is_answered_in_parts_and_counts_once():
+    """Each an update of its own, with a report behind it; one flight, of all bytes."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        far_away(open_screen, 200e3)
+        open_screen.draw(CHUNKS)
+        while open_screen.waiting or not open_screen.flights:
+            assert open_screen.read_events(5)
+        terminal.settle()
+        asked = terminal.output.count(b"\x1b[5n")
+        assert (
+            asked
+            == terminal.output.count(b"\x1b[?2026h")
+            == len(screen.in_parts(screen.HOME + CHUNKS, 10_000))
+        )
+        assert asked > 4
+        written = terminal.output[terminal.output.index(b"\x1b[?2026h") :]
+        assert re.sub(rb"\x1b\[\?2026[hl]|\x1b\[5n|\x1b\[H", b"", written) == CHUNKS
+        (flight,) = open_screen.flights
+        assert flight.sent == len(written)
+
+
+def test_a_picture_cut_short_between_its_parts_counts_once():
+    """What was not begun is not waited for."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        far_away(open_screen, 50e3)
+        open_screen.draw(CHUNKS)
+        assert open_screen.abandon()
+        while open_screen.waiting:
+            assert open_screen.read_events(5)
+        assert len(open_screen.flights) == 1
+        assert open_screen.flights[0].sent < len(CHUNKS) / 2
+        terminal.settle()
+        assert CHUNKS[-1000:] not in terminal.output
+        assert not open_screen.busy

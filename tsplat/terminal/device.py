@@ -192,6 +192,7 @@ class Heard:
     around: bytes = b""  # what the terminal around tmux said
     features: str = ""  # what tmux believes of it
     owed: int = 0  # answers to DA1 that have not come, though tmux lets that through
+    asked: int = 0  # bytes of the questions
 
     def terminal(self, environ: Mapping[str, str], winsize: Winsize) -> Terminal:
         """The facts in it."""
@@ -211,11 +212,13 @@ def ask(
     """
 
     def exchange(questions: Iterable[bytes]) -> None:
-        write_all(fd_out, b"".join(questions), seconds)
+        asked.append(b"".join(questions))
+        write_all(fd_out, asked[-1], seconds)
         found, keys = split_answers(read_answers(fd_in, seconds))
         answers.append(found)
         typed.append(keys)
 
+    asked: list[bytes] = []
     answers: list[bytes] = []
     typed: list[bytes] = []
     if not multiplexer("", environ):
@@ -236,10 +239,11 @@ def ask(
                 exchange(map(through_tmux, through))
         around = b"".join(answers[1:])
         late = sum(DA1_ANSWER.search(found) is None for found in answers)
-        return Heard(answers[0], b"".join(typed), around, now.features, late if now.passes else 0)
+        owed, size = late if now.passes else 0, sum(map(len, asked))
+        return Heard(answers[0], b"".join(typed), around, now.features, owed, size)
     if not mux and multiplexer("", environ):  # a window that was opened from inside one
         exchange((KITTY_QUESTION, *sharing.questions(), DA1))
-    return Heard(b"".join(answers), b"".join(typed))
+    return Heard(b"".join(answers), b"".join(typed), asked=sum(map(len, asked)))
 
 
 @dataclass(frozen=True)
