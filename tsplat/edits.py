@@ -10,10 +10,13 @@ import math
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsplat.core.errors import ParamsError
 from tsplat.core.types import F32, F64, Scene
 from tsplat.io.clean import SH_MAX
+
+Mask = NDArray[np.bool_]
 
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 """Shares of red, green and blue in what is seen as brightness (ITU-R BT.709-6, item 3.2)."""
@@ -81,21 +84,31 @@ def edited(scene: Scene, edits: Edits) -> Scene:
     opacities = scene.opacities
     if edits.raw_opacity:
         opacities = _logits(opacities)
-    drawn = np.ones(len(scene), bool)
-    if edits.min_opacity > 0:
-        drawn &= opacities >= np.float32(edits.min_opacity)
-    if edits.crop is not None:
-        drawn &= _inside(scene, edits.crop)
     scales = scene.scales
     if edits.splat_scale != 1:
         with np.errstate(over="ignore"):
             scales = np.minimum(scales * np.float32(edits.splat_scale), np.finfo(np.float32).max)
     made = replace(
         scene,
-        opacities=np.where(drawn, opacities, np.float32(0)),
+        opacities=np.where(_drawn(scene, opacities, edits), opacities, np.float32(0)),
         scales=np.ascontiguousarray(scales),
     )
     return made if edits.saturation == 1 else _saturated(made, edits.saturation)
+
+
+def drawn(scene: Scene, edits: Edits) -> Mask:
+    """[N] which Gaussians ``edits`` leave in the scene."""
+    opacities = _logits(scene.opacities) if edits.raw_opacity else scene.opacities
+    return _drawn(scene, opacities, edits)
+
+
+def _drawn(scene: Scene, opacities: F32, edits: Edits) -> Mask:
+    found = np.ones(len(scene), bool)
+    if edits.min_opacity > 0:
+        found &= opacities >= np.float32(edits.min_opacity)
+    if edits.crop is not None:
+        found &= _inside(scene, edits.crop)
+    return found
 
 
 def _logits(opacities: F32) -> F32:
@@ -106,7 +119,7 @@ def _logits(opacities: F32) -> F32:
     return np.asarray(np.clip(logits, 0, 1), np.float32)
 
 
-def _inside(scene: Scene, crop: Box) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _inside(scene: Scene, crop: Box) -> Mask:
     low: F64 = np.asarray(crop.low, np.float64) - scene.origin
     high: F64 = np.asarray(crop.high, np.float64) - scene.origin
     inside = np.ones(len(scene), bool)
