@@ -278,7 +278,7 @@ def _judge(
 def judged(
     means: Floats, quats: Floats, scales: F32, opacities: Floats, sh: F32, *, wide: bool
 ) -> NDArray[np.bool_]:
-    """[n] which Gaussians a :class:`SceneBuilder` that is ``wide`` would keep; arguments as there."""
+    """[n] which Gaussians a :class:`SceneBuilder` that is ``wide`` would keep."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         lengths = _normalised(quats)[1]
         limit = FLOAT32_MAX / 2 if wide else FLOAT32_MAX

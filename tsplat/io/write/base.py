@@ -140,11 +140,6 @@ class Clipped:
     def notes(self) -> tuple[str, ...]:
         """A line each."""
         return tuple(
-            f"{count:,} {what}"
-            + (f" (by {self.most[what]:.3g} at most)" if self.finite(what) else "")
-            for what, count in self.counts.items()
+            f"{count:,} {what}" + (f" (by {most:.3g} at most)" if math.isfinite(most) else "")
+            for (what, count), most in zip(self.counts.items(), self.most.values(), strict=True)
         )
-
-    def finite(self, what: str) -> bool:
-        """Whether the farthest of ``what`` is a number to show."""
-        return math.isfinite(self.most[what])

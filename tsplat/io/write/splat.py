@@ -13,6 +13,7 @@ import numpy as np
 
 from tsplat.core.constants import SH_C0
 from tsplat.core.errors import OutputError
+from tsplat.core.types import F64
 from tsplat.io.splat import ROW
 from tsplat.io.write.base import Clipped, WriteOptions, Written, parts
 from tsplat.io.write.source import Source
@@ -43,7 +44,7 @@ def write(source: Source, out: BinaryIO, options: WriteOptions) -> Written:
     return Written(".splat", None, (*notes, *clipped.notes()))
 
 
-def _outside(colors: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+def _outside(colors: F64) -> F64:
     """How far each value is outside 0..1."""
     return np.asarray(np.maximum(colors - 1, -colors))
 

@@ -80,7 +80,7 @@ class Planes:
         return fixed[..., None].view(np.uint8)[..., :3]
 
     def _alphas(self, part: slice) -> U8:
-        return np.rint(self._source.opacities(part) * 255.0).astype(np.uint8)
+        return np.asarray(np.rint(self._source.opacities(part) * 255.0).astype(np.uint8))
 
     def _colors(self, part: slice) -> U8:
         found = self._source.sh(part)[:, 0].astype(np.float64) * (0.15 * 255) + 127.5
@@ -117,7 +117,7 @@ def _smallest_three(quats: F32) -> U8:
     sizes = np.rint(np.abs(small) * (511 / math.sqrt(0.5))).astype(np.uint32)
     ten = np.minimum(sizes, 511) | (small < 0).astype(np.uint32) << 9
     words = largest.astype(np.uint32) << 30 | ten @ np.array([1 << 20, 1 << 10, 1], np.uint32)
-    return words.astype("<u4")[:, None].view(np.uint8)
+    return np.asarray(words.astype("<u4")[:, None].view(np.uint8))
 
 
 def _first_three(quats: F32) -> U8:
