@@ -1,9 +1,8 @@
 """PlayCanvas' compressed PLY: 16 bytes a Gaussian and one a coefficient, chunks of 256.
 
-Layout: see :mod:`tsplat.io.compressed`. Each chunk has its own ranges, so Gaussians are put along a
-space-filling curve first; strays, which would leave the others few cells of its grid, have one of
-their own behind it. Every number is the nearest that the format has, worked out in float64 from the
-ranges as they are in the file.
+Layout: see :mod:`tsplat.io.compressed`. Each chunk has its own ranges, so Gaussians are put into an
+order first in which chunks are compact in space. Every number is the nearest that the format has,
+worked out in float64 from the ranges as they are in the file.
 """
 
 from __future__ import annotations
@@ -35,6 +34,9 @@ LOGS_RANGE = 20.0
 RANGES = (*POSITION_RANGE, *SCALE_RANGE, *COLOR_RANGE)
 BITS_11_10_11 = np.array([2047.0, 1023.0, 2047.0])
 BITS_8 = np.full(3, 255.0)
+COARSE = 1.0, 2.0, 1.0
+"""Of positions: y has a bit less."""
+
 FEW = 0.75, 255.25
 """Where the nearest value changes at the ends: see :func:`_rest`."""
 
@@ -52,7 +54,7 @@ def header(count: int, rest: int) -> bytes:
 def write(source: Source, out: BinaryIO, options: WriteOptions) -> Written:
     """See :class:`tsplat.io.write.base.Write`."""
     count, rest = len(source), 3 * (source.coefficients - 1)
-    order = compact_order(source)
+    order = compact_order(source, CHUNK, COARSE)
     head = header(count, rest)
     out.write(head)
     ranges_at = len(head)
