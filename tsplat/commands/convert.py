@@ -195,6 +195,8 @@ def _tell(arguments: argparse.Namespace, done: Done, measured: Measured | None) 
     lines += [("left out", f"{n:,}: {reason}") for reason, n in cut.items()]
     lines += [("not held", note) for note in done.written.notes]
     table = Table(show_header=False, box=None)
+    table.add_column()
+    table.add_column(overflow="fold")
     for key, text in lines:
         table.add_row(f"[bold]{key}[/bold]", escape(text))
     console.print(table)

@@ -41,7 +41,7 @@ def compact_order(source: Source, chunk: int, coarse: tuple[float, float, float]
     for group in _groups(means, chunk):
         missing = -sum(map(len, subtrees)) % chunk  # of the last chunk
         if missing and len(group) > missing:
-            middle = np.median(means[group], axis=0)
+            middle: F64 = np.asarray(np.median(means[group], axis=0), np.float64)
             away = np.abs(means[group] - middle).max(1)
             nearest = np.argpartition(away, missing)
             subtrees.append(group[nearest[:missing]])

@@ -115,7 +115,9 @@ def _notes(source: Source) -> tuple[str, ...]:
         notes.append("positions are doubles: float32 would lose detail this far from zero")
     if source.antialias is not None:
         notes.append("whether it was trained with antialiasing is not in a PLY file")
-    if source.verbatim is None:
+    if source.verbatim is not None:
+        notes += [f"left out: {what}" for what in source.verbatim.passed_over]
+    else:
         for part in parts(len(source)):
             if (source.opacities(part) == 1).any() or (source.opacities(part) == 0).any():
                 notes.append(

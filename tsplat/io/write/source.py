@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tsplat.core.errors import printable
 from tsplat.core.types import F32, I64, Floats, Scene
 from tsplat.edits import NOTHING, Edits, drawn, edited
 from tsplat.io import clean
@@ -22,6 +23,7 @@ from tsplat.io.write.base import ROWS, parts
 
 if TYPE_CHECKING:
     from tsplat.io.ply import Stored
+    from tsplat.io.plyrows import Element, Header
 
 Rows = slice | I64
 """Some of a source's Gaussians, in its order."""
@@ -121,6 +123,7 @@ class Verbatim:
         vertex = ply.check(path, header)
         rest = ply.rest_count(vertex.properties)
         assert isinstance(rest, int)  # it has been read
+        self.passed_over = _passed_over(header, vertex)
         self._rows = plyrows.open_rows(path, header, _quiet)
         self._layout = ply.Layout(self._rows.dtype, rest)
         dropped = Counter(source.given.dropped)
@@ -167,6 +170,19 @@ class Verbatim:
         """Which Gaussians of the source, and what the file has of them."""
         for part, rows in self._pieces(self._kept):
             yield part, self._layout.stored(rows)
+
+
+def _passed_over(header: Header, vertex: Element) -> tuple[str, ...]:
+    """What else the file has."""
+    from tsplat.io.ply import NEEDED
+
+    known = {*NEEDED, "nx", "ny", "nz"}
+    other = [n for n in vertex.properties if n not in known and not n.startswith("f_rest_")]
+    elements = [e.name for e in header.elements if e is not vertex]
+    comments = sum(line.split()[:1] in ([b"comment"], [b"obj_info"]) for line in header.lines)
+    named = (("properties", other), ("elements", elements))
+    found = [f"{what} {printable(', '.join(names[:8]))}" for what, names in named if names]
+    return (*found, *([f"{comments} comments"] if comments else []))
 
 
 def _quiet(done: int, total: int) -> None:
