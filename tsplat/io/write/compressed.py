@@ -93,7 +93,7 @@ def _packed(
     steps = np.clip(np.rint(small / float(layout.QUATS) + 511.5), 0, 1023).astype(np.uint32)
     packed[:, 1] = largest.astype(np.uint32) << 30 | steps @ np.array([1 << 20, 1 << 10, 1], "<u4")
     sizes = logs(source.scales(rows))
-    least = _chunked(sizes).max(1).repeat(CHUNK, 0)[: len(sizes)] - LOGS_RANGE
+    least = _chunked(sizes).max(2).T.repeat(CHUNK, 0)[: len(sizes)] - LOGS_RANGE
     clipped.see("scales are below e^-20 of their chunk's largest, and raised", least - sizes, 0)
     packed[:, 2] = _quantised(np.maximum(sizes, least), BITS_11_10_11, ranges[:, 6:12]) @ [
         1 << 21, 1 << 11, 1,
@@ -105,21 +105,25 @@ def _packed(
 
 
 def _chunked(values: F64) -> F64:
-    """[C, CHUNK, 3] of [n, 3]; the last chunk is filled up with its last row."""
+    """[3, C, CHUNK] of [n, 3], each column by itself; the last chunk is filled with its last row.
+
+    NumPy's minima along rows of 256 are several times as fast as those down rows of three.
+    """
     over = -len(values) % CHUNK
     full = np.concatenate([values, values[-1:].repeat(over, 0)]) if over else values
-    return full.reshape(-1, CHUNK, 3)
+    return np.ascontiguousarray(full.T).reshape(3, -1, CHUNK)
 
 
 def _quantised(values: F64, steps: F64, ranges: F32) -> I64:
     """[n, 3] the nearest steps of the ranges, which are put into ``ranges`` [C, 6]."""
     full = _chunked(values)
-    low, high = _below(full.min(1)), -_below(-full.max(1))
-    ranges[:, :3], ranges[:, 3:] = low, high
+    low, high = _below(full.min(2)), -_below(-full.max(2))
+    ranges[:, :3], ranges[:, 3:] = low.T, high.T
     width = high.astype(np.float64) - low
-    share = np.divide(steps, width, out=np.zeros_like(width), where=width > 0)
-    found = (full - low[:, None]) * share[:, None]
-    return np.rint(found).astype(np.int64).reshape(-1, 3)[: len(values)]
+    share = np.divide(steps[:, None], width, out=np.zeros_like(width), where=width > 0)
+    full -= low[..., None]
+    full *= share[..., None]
+    return np.rint(full, out=full).reshape(3, -1).T[: len(values)].astype(np.int64)
 
 
 def _below(values: F64) -> F32:

@@ -90,7 +90,7 @@ def _leaves(rows: I64, means: Floats, weights: F64, chunk: int, most: int) -> li
             found.append(rows)
             continue
         with np.errstate(over="ignore"):
-            extent = (means.max(0) - means.min(0)) * weights
+            extent = np.array([np.ptp(means[:, axis]) for axis in range(3)]) * weights
         half = max(len(rows) // chunk // 2, 1) * chunk
         order = np.argpartition(np.ascontiguousarray(means[:, int(extent.argmax())]), half)
         left += [(rows[part], means[part]) for part in (order[half:], order[:half])]
