@@ -97,6 +97,7 @@ INFO_EXAMPLES = """\
 examples:
   tsplat info scene.ply
   tsplat info scene.ply --json | jq .gaussians
+  tsplat info scene.ply --trim 1 --min-opacity 0.02    what these would leave out
 """
 PLUGINS_EXAMPLES = """\
 examples:
@@ -153,6 +154,19 @@ def _vector(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
+def _up(text: str) -> tuple[float, float, float]:
+    axis = re.fullmatch(r"([-+]?)([xyz])", text.lower())
+    if axis:
+        sign = -1.0 if axis[1] == "-" else 1.0
+        x, y, z = (sign * (name == axis[2]) + 0.0 for name in "xyz")
+        return x, y, z
+    if re.fullmatch(r"[a-zA-Z]+", text):
+        raise argparse.ArgumentTypeError(
+            f"expected x, -x, y, -y, z, -z or three numbers such as 0,-1,0, got {text!r}"
+        )
+    return _vector(text)
+
+
 def _color(text: str) -> tuple[float, float, float] | None:
     if text == "none":
         return None
@@ -189,6 +203,10 @@ def _positive(text: str) -> float:
 
 def _share(text: str) -> float:
     return _number(text, lambda value: 0 <= value <= 1, "0 to 1")
+
+
+def _percentile(text: str) -> float:
+    return _number(text, lambda value: 0 <= value <= 49, "a percentile from 0 to 49")
 
 
 def _factor(text: str) -> float:
@@ -305,8 +323,14 @@ def _add_pose(parser: argparse.ArgumentParser) -> None:
         "--target", type=_vector, metavar="X,Y,Z", help="what it looks at (the scene's middle)"
     )
     pose.add_argument(
-        "--up", type=_vector, metavar="X,Y,Z", help="the world's up direction (0,-1,0)"
-    )
+        "--up", type=_up, metavar="AXIS",
+        help="which way is up: x, -x, y, -y, z, -z or X,Y,Z (what is known of the file: `tsplat "
+        "info`; -y if nothing is)",
+    )  # fmt: skip
+    pose.add_argument(
+        "--flip-y", action="store_true", help="up is the other way: for scenes that stand on "
+        "their head"
+    )  # fmt: skip
     pose.add_argument(
         "--fov", type=_positive, metavar="DEG", help="vertical field of view, degrees (50)"
     )
@@ -315,7 +339,7 @@ def _add_pose(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_edits(
-    parser: argparse.ArgumentParser, text: str = "the scene is drawn as if its file had been so"
+    parser: argparse.ArgumentParser, text: str = "the scene is as if its file had been so"
 ) -> None:
     edits = parser.add_argument_group("edits", text)
     edits.add_argument(
@@ -324,6 +348,14 @@ def _add_edits(
     edits.add_argument(
         "--min-opacity", type=_share, default=0.0, metavar="O",
         help="leave out Gaussians of less opacity, 0 to 1 (0)",
+    )  # fmt: skip
+    edits.add_argument(
+        "--max-scale", type=_positive, metavar="S",
+        help="leave out Gaussians with a standard deviation above S world units",
+    )  # fmt: skip
+    edits.add_argument(
+        "--trim", type=_percentile, default=0.0, metavar="P",
+        help="leave out strays: before the percentile P of x, y or z, or behind 100 - P (0)",
     )  # fmt: skip
     edits.add_argument(
         "--saturation", type=_factor, default=1.0, metavar="F", help="of all colours; 0 is grey (1)"
@@ -501,6 +533,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     info = add("info", "say what is in a scene file", INFO_EXAMPLES)
     _add_scene(info, optional=False)
+    _add_edits(info)
     info.add_argument("--json", action="store_true", help="print it as JSON")
 
     plugins = add("plugins", "list backends, presenters, readers and writers", PLUGINS_EXAMPLES)
@@ -509,6 +542,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     check = add("check", "compare every backend with the reference", CHECK_EXAMPLES)
     _add_scene(check)
+    _add_edits(check)
     check.add_argument("--backend", metavar="B", help="only this one (default: all available)")
     check.add_argument(
         "--size",
@@ -544,6 +578,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     bench = add("bench", "measure what each shortcut costs and saves", BENCH_EXAMPLES)
     _add_scene(bench)
+    _add_edits(bench)
     bench.add_argument("--backend", metavar="B[,B]", help="default: all but the reference")
     bench.add_argument("--size", type=_pair, metavar="WxH", help="px (320x180)")
     bench.add_argument(
@@ -577,7 +612,7 @@ def _arranged(argv: Sequence[str], parser: argparse.ArgumentParser) -> list[str]
         value = next(words, None) if word in VECTORS else None
         if value is None:
             out.append(word)
-        elif re.match(r"-[0-9.]", value):
+        elif re.match(r"-([0-9.]|[xyzXYZ]$)", value):
             out.append(f"{word}={value}")
         else:
             out += [word, value]

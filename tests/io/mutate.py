@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 from hypothesis import strategies as st
 
 EXTREMES = [
@@ -47,8 +49,6 @@ def damaged(draw, content: bytes, head: int = 256) -> bytes:
 @st.composite
 def altered(draw, value):
     """JSON data with one to three values replaced or taken away, at any depth."""
-    import copy
-
     made = copy.deepcopy(value)
     for _ in range(draw(st.integers(1, 3))):
         at = made
@@ -64,6 +64,6 @@ def altered(draw, value):
             if draw(st.booleans()) and isinstance(at, dict):
                 del at[key]
             else:
-                at[key] = draw(st.sampled_from(NUMBERS))
+                at[key] = copy.deepcopy(draw(st.sampled_from(NUMBERS)))  # it may be altered, too
             break
     return made

@@ -15,7 +15,7 @@ from tests.io import spzwriter
 from tests.io.loading import covariances, in_file_order, refusal, scene_or_line
 from tests.io.mutate import damaged
 from tests.io.spzwriter import NO_ZSTD, header, packed, random_planes
-from tsplat.io import curve, load_scene, spz
+from tsplat.io import curve, load_scene, spz, sweeps
 from tsplat.io.gather import COUNT_FREE
 from tsplat.io.turn import axes
 
@@ -143,8 +143,8 @@ def test_coefficients_are_half_or_not(tmp_path):
 
 
 def test_progress_goes_up_to_its_end(tmp_path):
-    """Calls never go back and end where they said they would."""
-    write(tmp_path / "a", curve.ROWS_MIN, 3, 1)
+    """Calls never go back and end where they said they would: unpacked, along a curve, decoded."""
+    write(tmp_path / "a", max(curve.ROWS_MIN, 4 * sweeps.PIECE), 3, 1)
     calls = []
     load_scene(tmp_path / "a", progress=lambda done, total: calls.append(done / total))
     assert calls == sorted(calls)

@@ -19,6 +19,7 @@ from tests.io.realdata import needs_data
 from tests.io.writing import FORMATS, READ, check, drawn, scenes
 from tsplat import WriteOptions, load_scene, save_scene
 from tsplat.core.errors import OutputError, ParamsError, PluginError
+from tsplat.core.types import Up
 from tsplat.io.spz import HEADER
 from tsplat.io.write import base, compressed, ply, spz
 from tsplat.io.write.gzip import Gzip
@@ -300,15 +301,20 @@ def test_fractional_bits_fit_the_range_and_the_gaussians(tmp_path, reach, size, 
         save_scene(scene, tmp_path / "b.spz", options=WriteOptions(fractional_bits=23))
 
 
-def test_antialiasing_is_kept_where_the_format_has_a_flag(tmp_path):
-    """SPZ's flag comes back; the others say that they do not hold it."""
+@pytest.mark.parametrize("smooth", [True, False])
+def test_antialiasing_and_up_are_kept_where_the_format_says_them(tmp_path, smooth):
+    """A PLY header's comments and SPZ's flag come back; what a format cannot say is noted."""
     scene = drawn(3, 0, 0)
-    object.__setattr__(scene, "antialias", True)
+    object.__setattr__(scene, "antialias", smooth)
+    object.__setattr__(scene, "up", Up((0.0, 0.125, -1.0), "told so"))
     for fmt in FORMATS:
         written = save_scene(scene, tmp_path / f"a.{fmt}")
-        back = load_scene(tmp_path / f"a.{fmt}").antialias
-        assert back is (True if fmt == "spz" else None)
-        assert any("antialiasing" in note for note in written.notes) == (fmt != "spz")
+        back = load_scene(tmp_path / f"a.{fmt}")
+        assert back.antialias is (None if fmt == "splat" else smooth)
+        assert (back.up is not None) == fmt.endswith("ply")
+        assert back.up is None or back.up.direction == (0.0, 0.125, -1.0)
+        assert any("antialiasing" in note for note in written.notes) == (fmt == "splat")
+        assert any("told so" in note for note in written.notes) == (back.up is None)
 
 
 def test_what_is_clipped_is_counted(tmp_path):

@@ -12,6 +12,7 @@ from tests.modes import TELLS, left_on
 from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
 from tsplat.terminal import Event, Screen, screen
+from tsplat.viewer.text import help_page
 
 ENVIRON = {"TERM": "xterm"}
 # The last is a question: its answer is the last thing to come
@@ -79,6 +80,58 @@ def test_restored_on_deadly_signals(signum, body):
         assert process.returncode == 128 + signum, errors
         assert errors == ""
         check_restored(terminal)
+
+
+@pytest.mark.parametrize("name", ["XTerm(412)", "foot(1.28.0)"])
+def test_an_xterm_is_rid_of_its_pictures(name):
+    """Wherever the screen is cleared, and at the end, they are scrolled out; no other scrolls."""
+    facts = Terminal(80, 24, sixel=True, name=name)
+    with FakeTerminal() as terminal:
+        with session(terminal, terminal=facts) as now:
+            now.clear()
+        terminal.settle()
+        out, scroll, gone = terminal.output, b"\x1b[24S", b"\x1b[m\x1b[2J"
+    if name.startswith("XTerm"):
+        assert out.count(scroll + gone) == out.count(gone) == 2
+        assert out.index(b"\x1b[?1049h") < out.index(scroll)
+        assert out.rindex(gone) < out.rindex(scroll) < out.index(b"\x1b[?1049l")
+        assert scroll + gone in help_page(facts)
+    else:
+        assert b"S" not in out
+        assert scroll not in help_page(facts)
+
+
+def test_what_tmux_loses_is_drawn_anew():
+    """A frame that is not acknowledged past tmux soon is lost, and maybe its picture: all again."""
+    facts = Terminal(kitty=True, multiplexer="tmux", around="kitty(0.48.2)", placeholders=True)
+
+    def kinds(now, kind):
+        heard, end = [], time.monotonic() + 10
+        while kind not in heard:
+            assert time.monotonic() < end
+            heard += [event.kind for event in now.read_events(10)]
+        return heard
+
+    with FakeTerminal(reports=False) as terminal, session(terminal, terminal=facts) as now:
+        past = b"\x1bPtmux;\x1b\x1b[5n\x1b\\"
+        for i in range(2):
+            now.draw(b"kept")
+            terminal.wait_for(b"kept\x1b[?2026l" + past)
+            terminal.type(b"\x1b[0n")
+            assert kinds(now, "ready") == ["ready"]
+            begun = time.monotonic()
+            now.draw(b"lost")
+            assert kinds(now, "resize") == ["resize"]
+            assert time.monotonic() - begun < screen.PATIENCE_SECONDS / 2
+            assert not now.busy
+            assert not now.waiting
+            now.draw(b"again %d" % i)  # in another pane its answer would be typed into a shell
+            terminal.wait_for(b"again %d\x1b[?2026l\x1b[5n" % i)
+            terminal.type(b"\x1b[0n")
+            assert kinds(now, "ready") == ["ready"]
+            terminal.type(b"k")
+            assert kinds(now, "key") == ["key"]
+            terminal.output = b""
 
 
 def test_a_second_signal_interrupts_work(tmp_path):

@@ -129,8 +129,8 @@ def _own_cameras(arguments: argparse.Namespace) -> list[Camera]:
 
 
 def _cut(done: Done) -> dict[str, int]:
-    dropped = dict(done.source.given.dropped)
-    return {**dropped, "cut by the edits": done.source.cut} if done.source.cut else dropped
+    cut = {reason: n for reason, n in done.source.cut.items() if n}
+    return {**done.source.given.dropped, **cut}
 
 
 def _facts(arguments: argparse.Namespace, done: Done, measured: Measured | None) -> dict[str, Any]:

@@ -83,6 +83,5 @@ def refuse_raw_opacity(path: Path, options: ReadOptions, kind: str) -> None:
     if options.raw_opacity:
         refuse(
             path,
-            "raw_opacity (--raw-opacity) is for PLY files, which store logits otherwise; "
-            f"opacities of {kind} are 0..1 always: leave it out",
+            f"opacities of {kind} are always 0..1; leave out raw_opacity (--raw-opacity)",
         )

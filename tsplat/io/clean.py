@@ -73,7 +73,7 @@ class SceneBuilder:
         self._opacities = np.empty(capacity, np.float32)
         self._sh = np.empty((capacity, coefficients, 3), np.float16 if half else np.float32)
         self._wide = wide
-        self._half = half
+        self.half = half
         self._count = 0
         self._gaps: list[NDArray[np.integer]] = []  # rows that nothing was put into
         self._lock = threading.Lock()
@@ -104,7 +104,7 @@ class SceneBuilder:
             if not self._wide:
                 means = means.astype(np.float32, copy=False)
             scales = scales.astype(np.float32, copy=False)
-            if not (self._half and sh.dtype == np.float16):
+            if not (self.half and sh.dtype == np.float16):
                 sh = sh.astype(np.float32, copy=False)
             units, lengths = _normalised(quats)
             # after re-basing a mean may be twice as far out as it was

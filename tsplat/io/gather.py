@@ -1,13 +1,11 @@
-"""Gaussians that a file has as whole columns -> a Scene: sampled, along the curve, without faults.
+"""Gaussians that are in memory once their file is unpacked -> a Scene: SPZ, SOG, glTF.
 
-What every format shares whose numbers are in memory once it is unpacked: SPZ, SOG, glTF. A reader
-says how to decode some rows; which rows, in what order and into what is decided here.
+A reader says how to decode some rows; which rows, in what order and into what is decided as for
+every other format, in :mod:`tsplat.io.sweeps`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -15,12 +13,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F16, F64, I32, I64, Floats, Scene
-from tsplat.core.workspace import default_threads
-from tsplat.io import curve
-from tsplat.io.base import SAMPLED, ReadOptions, refuse, sample_rows
-from tsplat.io.clean import CHUNK, OPACITY_RANGE, THREADS, SceneBuilder
-from tsplat.io.half import SH_ERROR_MAX
+from tsplat.core.types import F16, F64, I32, I64, Floats, Scene, Up
+from tsplat.io.base import ReadOptions, refuse
+from tsplat.io.clean import SceneBuilder
+from tsplat.io.sweeps import scene_of
 
 COUNT_FREE = 1 << 18
 """Gaussians that a file may hold however small it is: some 45 MB once they are decoded."""
@@ -78,6 +74,47 @@ def check_count(path: Path, count: int, size: int, where: str) -> int:
     return count
 
 
+class _Numbers:
+    """The rows of a :class:`Source` are their numbers; see :class:`tsplat.io.sweeps.FileRows`."""
+
+    dtype = np.dtype(np.int64)
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def read(self, start: int, stop: int, room: I64) -> I64:
+        """``start`` to ``stop``."""
+        return np.arange(start, stop)
+
+
+def _run(numbers: I64) -> slice | I64:
+    """Increasing ``numbers`` as a slice if none is left out."""
+    if not len(numbers):
+        return slice(0, 0)
+    first, last = int(numbers[0]), int(numbers[-1])
+    return slice(first, last + 1) if last - first == len(numbers) - 1 else numbers
+
+
+class _Layout:
+    """A :class:`Source` decodes its own rows; see :class:`tsplat.io.sweeps.Layout`."""
+
+    def __init__(self, source: Source) -> None:
+        self.coefficients, self.wide = source.coefficients, source.wide
+        self._source = source
+
+    def means(self, rows: I64) -> Floats:
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+            return self._source.means(_run(rows))
+
+    def add(self, builder: SceneBuilder, to: slice | I32, rows: I64, raw_opacity: bool) -> None:
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):  # builder drops those
+            found = self._source.gaussians(_run(rows), builder.half)
+        builder.add(*found[:5], to, found.sh_error)
+
+
 def gather(
     path: Path,
     source: Source,
@@ -86,94 +123,18 @@ def gather(
     about: str,
     name: str | None = None,
     antialias: bool | None = None,
+    up: Up | None = None,
 ) -> Scene:
-    """The Scene of all rows of ``source``, or of an even sample of ``options.max_splats``.
-
-    ``about`` and ``antialias`` become ``Scene.source`` and ``Scene.antialias``; ``name`` is the
-    file's unless given.
+    """See :func:`tsplat.io.sweeps.scene_of`; the scene's name is the file's unless given.
 
     Raises:
         SceneError: nothing can be drawn.
     """
-    count = min(options.max_splats or source.count, source.count)
-    picked = sample_rows(source.count, count) if count < source.count else None
-    goal = count if count < curve.ROWS_MIN else 2 * count
-
-    def rows_of(part: slice) -> slice | I64:
-        return part if picked is None else picked[part]
-
-    numbers = places = None
-    if count >= curve.ROWS_MIN:
-        means = np.empty((count, 3), np.float64 if source.wide else np.float32)
-
-        def keep(part: slice) -> bool:
-            with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-                means[part] = source.means(rows_of(part))
-            return True
-
-        _sweep(keep, count, lambda done: options.progress(done, goal))
-        numbers = curve.rows_along_curve(means)
-        places = curve.inverse(numbers)
-        del means
-    builder = None
-    if not options.sh_float32:
-        builder = _decoded(source, rows_of, count, places, options, goal, half=True)
-    if builder is None or builder.sh_error >= SH_ERROR_MAX:
-        del builder  # its memory is needed
-        builder = _decoded(source, rows_of, count, places, options, goal, half=False)
-    if picked is not None:
-        builder.dropped[SAMPLED] = source.count - count
-    if options.raw_opacity and builder.dropped[OPACITY_RANGE] > len(builder):
-        refuse(
-            path,
-            f"{builder.dropped[OPACITY_RANGE]} opacities lie outside 0..1, so they are logits; "
-            "read the file without raw_opacity (--raw-opacity)",
-        )
-    if not len(builder):
-        reasons = ", ".join(f"{r}: {n}" for r, n in builder.dropped.items() if r != SAMPLED)
-        refuse(path, f"none of its Gaussians can be drawn ({reasons})")
-    scene = builder.build(printable(name or path.name), numbers=numbers)
-    return replace(scene, source=about, antialias=antialias)
-
-
-def _decoded(
-    source: Source,
-    rows_of: Callable[[slice], slice | I64],
-    count: int,
-    places: I32 | None,
-    options: ReadOptions,
-    goal: int,
-    *,
-    half: bool,
-) -> SceneBuilder:
-    builder = SceneBuilder(count, source.coefficients, wide=source.wide, half=half)
-
-    def add(part: slice) -> bool:
-        with np.errstate(over="ignore", invalid="ignore", under="ignore"):  # builder drops those
-            rows = source.gaussians(rows_of(part), half)
-        to = part if places is None else places[part]
-        builder.add(*rows[:5], to, rows.sh_error)
-        return builder.sh_error < SH_ERROR_MAX
-
-    _sweep(add, count, lambda done: options.progress(goal - count + done, goal))
-    return builder
-
-
-def _sweep(work: Callable[[slice], bool], count: int, progress: Callable[[int], None]) -> None:
-    """Calls ``work`` in threads with slices of 0..count, until one says False."""
-    more = True
-
-    def piece(start: int) -> int:
-        nonlocal more
-        stop = min(start + CHUNK, count)
-        if more and not work(slice(start, stop)):
-            more = False
-        return stop
-
-    progress(0)
-    with ThreadPoolExecutor(min(default_threads(), THREADS), "tsplat-gather") as pool:
-        for done in pool.map(piece, range(0, count, CHUNK)):
-            progress(done)
+    scene = scene_of(
+        path, _Numbers(source.count), _Layout(source), options,
+        about=about, antialias=antialias, up=up,
+    )  # fmt: skip
+    return replace(scene, name=printable(name)) if name else scene
 
 
 def stretch(options: ReadOptions, first: float, last: float) -> ReadOptions:
@@ -191,12 +152,3 @@ def left_of_one(parts: F64) -> F64:
     In float64: of a small one float32 would leave few digits.
     """
     return np.asarray(np.sqrt(np.maximum(1 - np.square(parts).sum(1), 0)))
-
-
-def no_raw_opacity(path: Path, options: ReadOptions, kind: str) -> None:
-    """Refuses ``raw_opacity`` for a format that has no other opacities."""
-    if options.raw_opacity:
-        refuse(
-            path,
-            f"opacities of {kind} are always 0..1; leave out raw_opacity (--raw-opacity)",
-        )

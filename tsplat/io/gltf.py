@@ -22,12 +22,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tsplat.core.constants import UPWARDS
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, F64, I64, Floats, Scene
+from tsplat.core.types import F32, F64, I64, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
-from tsplat.io.base import Read, Reader, ReadOptions, refuse
+from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.fields import Field, parse
-from tsplat.io.gather import Gaussians, check_count, gather, no_raw_opacity
+from tsplat.io.gather import Gaussians, check_count, gather
 from tsplat.io.turn import Turn, axes
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -497,7 +498,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
 
     Memory: the file and the scene, which is at most 0.8 times as large where numbers are float32.
     """
-    no_raw_opacity(path, options, "KHR_gaussian_splatting")
+    refuse_raw_opacity(path, options, "KHR_gaussian_splatting")
     file = _opened(path)
     primitives, spaces = _primitives(file)
     primitives = _logarithmic(primitives)
@@ -507,7 +508,8 @@ def read(path: Path, options: ReadOptions) -> Scene:
         about += ", scales are logarithms (draft of 2025)"
     for space in sorted(spaces - {DRAWN_AS_IS}):
         about += f", colours {space} (drawn as they are)"
-    return gather(path, source, options, about=about)
+    up = Up(UPWARDS, "y is up in glTF; turned to x right, y down, z forward")
+    return gather(path, source, options, about=about, up=up)
 
 
 def recognises(start: bytes) -> bool:

@@ -319,7 +319,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
         rows = Rows(file, _sections(path, file, size, header))
         layout = Layout(rows, (low, high))
         about = f"ksplat level {level}, SH {rows.degree}"
-        return scene_of(path, rows, layout, options, about)
+        return scene_of(path, rows, layout, options, about=about)
 
 
 def recognises(start: bytes) -> bool:

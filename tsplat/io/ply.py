@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,8 +23,9 @@ from tsplat.core.types import F32, F64, I32, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io import native
 from tsplat.io.base import Read, Reader, ReadOptions, refuse
-from tsplat.io.clean import OPACITY_RANGE, SceneBuilder
-from tsplat.io.sweeps import Sweeps, decode, finished
+from tsplat.io.clean import SceneBuilder
+from tsplat.io.says import says_antialias, says_up
+from tsplat.io.sweeps import scene_of
 
 if TYPE_CHECKING:
     from tsplat.io.plyrows import Element, Header
@@ -32,6 +34,9 @@ MEANS = ("x", "y", "z")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 SCALES = ("scale_0", "scale_1", "scale_2")
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+THICKNESS = SCALES[2]
+"""2D Gaussians, which are flat, are written without it."""
+
 NEEDED = (*MEANS, *DC, "opacity", *SCALES, *QUATS)
 TELLING = ("opacity", *DC, *SCALES, *QUATS)
 """Properties that only a file of Gaussians has."""
@@ -124,14 +129,19 @@ class Layout:
         self.coefficients = 1 + rest // 3
         self.wide = not all(np.can_cast(dtype[name], np.float32) for name in MEANS)
         self._means, self._quats = _columns(dtype, MEANS), _columns(dtype, QUATS)
-        self._scales, self._dc = _columns(dtype, SCALES), _columns(dtype, DC)
+        self._flat = THICKNESS not in (dtype.names or ())
+        self._scales = _columns(dtype, SCALES[:2] if self._flat else SCALES)
+        self._dc = _columns(dtype, DC)
         per_channel = rest // 3
         self._rest = [
             _columns(dtype, tuple(f"f_rest_{i}" for i in range(first, first + per_channel)))
             for first in (range(0, rest, per_channel) if rest else ())
         ]
         colours = [f"f_rest_{c * per_channel + k}" for k in range(per_channel) for c in range(3)]
-        self._decoder = native.decoder(dtype, (*MEANS, *QUATS, *SCALES, "opacity", *DC, *colours))
+        self._decoder = None
+        if not self._flat:
+            order = (*MEANS, *QUATS, *SCALES, "opacity", *DC, *colours)
+            self._decoder = native.decoder(dtype, order)
 
     def means(self, rows: NDArray[np.void]) -> Floats:
         """[n, 3] the positions of ``rows``, some of which may not be finite."""
@@ -157,6 +167,8 @@ class Layout:
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             opacities = found.logits.astype(np.float64)
             scales = np.exp(found.logs.astype(np.float64)).astype(np.float32)
+        if self._flat:
+            scales = np.concatenate([scales, np.zeros((len(rows), 1), np.float32)], axis=1)
         if not raw_opacity:
             opacities = sigmoid(opacities)
         return found.means, found.quats, scales, opacities, found.sh
@@ -199,7 +211,7 @@ def check(path: Path, header: Header) -> Element:
         name = printable(vertex.lists[0], 40)
         refuse(path, f"property {name} of element vertex is a list, expected a number")
     missing = [name for name in NEEDED if name not in vertex.properties]
-    if missing:
+    if missing not in ([], [THICKNESS]):
         refuse(
             path,
             f"element vertex lacks {', '.join(missing)}; "
@@ -222,15 +234,13 @@ def read(path: Path, options: ReadOptions) -> Scene:
     if isinstance(rest, str):
         refuse(path, rest)
     with plyrows.open_rows(path, header, options.progress) as rows:
-        sweeps = Sweeps(rows, options, _nothing if header.text else options.progress)
-        builder, numbers = decode(sweeps, Layout(rows.dtype, rest), options)
-    if options.raw_opacity and builder.dropped[OPACITY_RANGE] > len(builder):
-        refuse(
-            path,
-            f"{builder.dropped[OPACITY_RANGE]} opacities lie outside 0..1, so they are logits; "
-            "read the file without raw_opacity (--raw-opacity)",
-        )
-    return finished(path, builder, numbers)
+        if header.text:  # reading it was the work
+            options = replace(options, progress=_nothing)
+        return scene_of(
+            path, rows, Layout(rows.dtype, rest), options,
+            about="" if THICKNESS in vertex.properties else "ply of 2D Gaussians",
+            antialias=says_antialias(header.comments), up=says_up(header.comments),
+        )  # fmt: skip
 
 
 def _load() -> Read:

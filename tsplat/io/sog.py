@@ -16,7 +16,7 @@ import numpy as np
 from tsplat.core.errors import printable
 from tsplat.core.types import F16, F32, F64, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
-from tsplat.io.base import Read, Reader, ReadOptions, refuse
+from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.fields import JSON_MAX, Field, parse
 from tsplat.io.gather import (
     UNPACKING,
@@ -24,7 +24,6 @@ from tsplat.io.gather import (
     check_count,
     gather,
     left_of_one,
-    no_raw_opacity,
     stretch,
 )
 from tsplat.io.half import SH_ERROR_MAX, SH_PEAKS
@@ -164,7 +163,7 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
     if version is not None and version.integer(1, 2**53) != 2:
         version.wrong("2 (version 1 says none)")
     if not old:
-        no_raw_opacity(path, options, "SOG 2")
+        refuse_raw_opacity(path, options, "SOG 2")
     means, sh0, scales = meta.get("means"), meta.get("sh0"), meta.get("scales")
     harmonics = meta.maybe("shN")
     images = {
@@ -206,8 +205,7 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
         sizes = [np.exp(log).astype(np.float32) for log in logs]
         hues = [color.astype(np.float32) for color in colors]
         source = Splats(count, positions, sizes, hues, opacities, palette, pixels)
-    smooth = meta.maybe("antialias")
-    antialias = smooth.value if smooth is not None and isinstance(smooth.value, bool) else None
+    antialias = _antialias(meta)
     degree = 0 if palette is None else DEGREES[PER_ROW * palette.shape[1]]
     about = f"sog {1 if old else 2}, SH {degree}{', antialiased' if antialias else ''}"
     bundle = path.name != META
@@ -216,6 +214,14 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
         about=about if bundle else f"{about}, unbundled",
         antialias=antialias, name=path.name if bundle else path.absolute().parent.name,
     )  # fmt: skip
+
+
+def _antialias(meta: Field) -> bool | None:
+    """What ``antialias`` says, or, in newer files, ``model``."""
+    smooth, model = meta.maybe("antialias"), meta.maybe("model")
+    if smooth is not None and isinstance(smooth.value, bool):
+        return smooth.value
+    return None if model is None else model.value == "antialiased"
 
 
 def _listed(field: Field, key: str) -> bool:

@@ -99,7 +99,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
             "over; copy or download it again",
         )
     with Bytes(path) as file:
-        return scene_of(path, Rows(file, count), Layout(), options, ".splat")
+        return scene_of(path, Rows(file, count), Layout(), options, about=".splat")
 
 
 def recognises(start: bytes) -> bool:

@@ -22,17 +22,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tsplat.core.constants import UPWARDS
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, I64, U8, Floats, Scene
+from tsplat.core.types import F32, I64, U8, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
-from tsplat.io.base import Read, Reader, ReadOptions, refuse
+from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.gather import (
     UNPACKING,
     Gaussians,
     check_count,
     gather,
     left_of_one,
-    no_raw_opacity,
     stretch,
 )
 from tsplat.io.half import SH_PEAKS
@@ -428,7 +428,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
     Memory: the file, its planes (19 bytes a Gaussian, 65 of degree 3, which is 1.3 to 3 times the
     file) and the scene, which is 3 to 7 times as large as an SPZ file.
     """
-    no_raw_opacity(path, options, "SPZ")
+    refuse_raw_opacity(path, options, "SPZ")
     content = path.read_bytes()
     plain = content.startswith(MAGIC) and int.from_bytes(content[4:8], "little") >= 4
     unpack = _planes_zstd if plain else _planes_gzip
@@ -437,8 +437,10 @@ def read(path: Path, options: ReadOptions) -> Scene:
     options = stretch(options, UNPACKING, 1)
     turn = Turn(axes(system))
     about = head.about if system == DEFAULT else f"{head.about}, axes {system}"
+    told = "an SPZ file's" if system == DEFAULT else "the file says that its"
+    up = Up(UPWARDS, f"{told} axes are {system}; turned to x right, y down, z forward")
     return gather(
-        path, Splats(head, planes, turn), options, about=about, antialias=head.antialiased
+        path, Splats(head, planes, turn), options, about=about, antialias=head.antialiased, up=up
     )
 
 

@@ -1,7 +1,9 @@
 """Rows of a file -> a scene: in pieces, by threads, sampled, and along a space-filling curve.
 
 What a format has to say is in two things: ``FileRows``, which reads a run of its Gaussians as
-rows of one NumPy type, and ``Layout``, which decodes such rows. The rest is the same for all.
+rows of one NumPy type, and ``Layout``, which decodes such rows. The rest is the same for all. Of a
+format whose Gaussians are in memory once it is unpacked, the rows are their numbers; see
+:mod:`tsplat.io.gather`.
 """
 
 from __future__ import annotations
@@ -18,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
-from tsplat.core.types import I32, Floats, Scene
+from tsplat.core.types import I32, Floats, Scene, Up
 from tsplat.core.workspace import default_threads
 from tsplat.io import curve
 from tsplat.io.base import SAMPLED, ReadOptions, refuse, sample_rows
-from tsplat.io.clean import CHUNK, REASONS, THREADS, SceneBuilder
+from tsplat.io.clean import CHUNK, OPACITY_RANGE, REASONS, THREADS, SceneBuilder
 from tsplat.io.half import SH_ERROR_MAX
 
 PIECE = 4 * CHUNK
@@ -33,11 +35,11 @@ class FileRows(Protocol):
     """The Gaussians of a file, one a row, to be read piece by piece; threads may read at once."""
 
     @property
-    def dtype(self) -> np.dtype[np.void]: ...
+    def dtype(self) -> np.dtype[Any]: ...
 
     def __len__(self) -> int: ...
 
-    def read(self, start: int, stop: int, room: NDArray[np.void]) -> NDArray[np.void]:
+    def read(self, start: int, stop: int, room: NDArray[Any]) -> NDArray[Any]:
         """Rows ``start`` to ``stop``; ``room`` holds as many, and is where they may be put.
 
         Raises:
@@ -51,11 +53,11 @@ class Layout(Protocol):
     coefficients: int  # K: 1, 4, 9 or 16
     wide: bool  # positions need float64
 
-    def means(self, rows: NDArray[np.void]) -> Floats:
+    def means(self, rows: NDArray[Any]) -> Floats:
         """[n, 3] the positions of ``rows``, some of which may not be finite."""
 
     def add(
-        self, builder: SceneBuilder, to: slice | I32, rows: NDArray[np.void], raw_opacity: bool
+        self, builder: SceneBuilder, to: slice | I32, rows: NDArray[Any], raw_opacity: bool
     ) -> None:
         """Decodes ``rows`` into rows ``to`` of ``builder``."""
 
@@ -104,11 +106,9 @@ def typical(values: NDArray[np.floating]) -> float:
 class Sweeps:
     """Goes through all rows, or an even sample of ``options.max_splats``, as often as needed."""
 
-    def __init__(
-        self, rows: FileRows, options: ReadOptions, progress: Callable[[int, int], None]
-    ) -> None:
+    def __init__(self, rows: FileRows, options: ReadOptions) -> None:
         self._rows = rows
-        self._progress = progress
+        self._progress = options.progress
         total = len(rows)
         self.count = min(options.max_splats or total, total)
         self.left_out = total - self.count
@@ -118,9 +118,7 @@ class Sweeps:
         """Where ``row`` of the file, or the first one behind it that is picked, goes."""
         return row if self._picked is None else int(np.searchsorted(self._picked, row))
 
-    def sweep(
-        self, work: Callable[[slice, NDArray[np.void]], bool], before: int, goal: int
-    ) -> None:
+    def sweep(self, work: Callable[[slice, NDArray[Any]], bool], before: int, goal: int) -> None:
         """Calls ``work`` in threads with a slice of 0..count and its rows, until one says False.
 
         Progress goes from ``before`` to ``before + count`` of ``goal``.
@@ -129,7 +127,7 @@ class Sweeps:
         more = True
         workers = min(default_threads(), THREADS)
         # Made here: what a thread of a pool allocates for itself stays the process's, by and large.
-        rooms: SimpleQueue[NDArray[np.void]] = SimpleQueue()
+        rooms: SimpleQueue[NDArray[Any]] = SimpleQueue()
         for _ in range(workers):
             rooms.put(np.empty(min(CHUNK, total), rows.dtype))
 
@@ -154,6 +152,9 @@ class Sweeps:
             return self._place(end)
 
         self._progress(before, goal)
+        if total <= PIECE:  # no more than one thread would do
+            self._progress(before + piece(0), goal)
+            return
         with ThreadPoolExecutor(workers, "tsplat-read") as pool:
             for done in pool.map(piece, range(0, total, PIECE)):
                 self._progress(before + done, goal)
@@ -179,7 +180,7 @@ def decode(sweeps: Sweeps, layout: Layout, options: ReadOptions) -> tuple[SceneB
         if sweeps.left_out:
             builder.dropped[SAMPLED] = sweeps.left_out
 
-        def add(part: slice, rows: NDArray[np.void]) -> bool:
+        def add(part: slice, rows: NDArray[Any]) -> bool:
             to = part if places is None else places[part]
             layout.add(builder, to, rows, options.raw_opacity)
             return builder.sh_error < SH_ERROR_MAX
@@ -198,7 +199,7 @@ def _numbers(sweeps: Sweeps, layout: Layout, goal: int) -> I32:
     """Rows along the curve."""
     means = np.empty((sweeps.count, 3), np.float64 if layout.wide else np.float32)
 
-    def keep(part: slice, rows: NDArray[np.void]) -> bool:
+    def keep(part: slice, rows: NDArray[Any]) -> bool:
         means[part] = layout.means(rows)
         return True
 
@@ -211,26 +212,29 @@ def scene_of(
     rows: FileRows,
     layout: Layout,
     options: ReadOptions,
-    about: str,
+    *,
+    about: str = "",
+    antialias: bool | None = None,
+    up: Up | None = None,
 ) -> Scene:
-    """The scene of all ``rows`` of the file at ``path``; ``about`` becomes ``Scene.source``.
+    """The scene of all ``rows`` of the file at ``path``, or of ``options.max_splats`` of them.
+
+    ``about`` becomes ``Scene.source``.
 
     Raises:
-        SceneError: none of them can be drawn.
+        SceneError: none of them can be drawn, or opacities are logits that were said not to be.
     """
-    builder, numbers = decode(Sweeps(rows, options, options.progress), layout, options)
-    return replace(finished(path, builder, numbers), source=about)
-
-
-def finished(path: Path, builder: SceneBuilder, numbers: I32 | None) -> Scene:
-    """What ``builder`` makes of what :func:`decode` put into it.
-
-    Raises:
-        SceneError: that is nothing.
-    """
+    builder, numbers = decode(Sweeps(rows, options), layout, options)
+    if options.raw_opacity and builder.dropped[OPACITY_RANGE] > len(builder):
+        refuse(
+            path,
+            f"{builder.dropped[OPACITY_RANGE]} opacities lie outside 0..1, so they are logits; "
+            "read the file without raw_opacity (--raw-opacity)",
+        )
     if not len(builder):
         # by place, not by which thread met one first
         found = [(r, builder.dropped[r]) for r in REASONS if builder.dropped[r]]
         reasons = ", ".join(f"{r}: {n}" for r, n in found)
         refuse(path, f"none of its Gaussians can be drawn ({reasons})")
-    return builder.build(printable(path.name), numbers=numbers)
+    scene = builder.build(printable(path.name), numbers=numbers)
+    return replace(scene, source=about, antialias=antialias, up=up)

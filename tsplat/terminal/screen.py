@@ -33,6 +33,8 @@ from tsplat.terminal.device import (
     PLAIN,
     READ_SIZE,
     STRING_END,
+    cleared,
+    scrolled_out,
 )
 from tsplat.terminal.events import Decoder, Event
 from tsplat.terminal.link import Flight, Link
@@ -41,7 +43,6 @@ from tsplat.terminal.sharing import Sharing
 BEGIN_UPDATE = b"\x1b[?2026h"  # BSU: unknown to some, harmless to all; Konsole has it untold
 END_UPDATE = b"\x1b[?2026l"  # ESU
 HOME = b"\x1b[H"
-CLEAR = b"\x1b[m\x1b[2J" + HOME
 HIDE_CURSOR, SHOW_CURSOR = b"\x1b[?25l", b"\x1b[?25h"
 # Kitty's keyboard protocol, on a stack that each screen has of its own: 2 tells releases, 8 those
 # of letters, too; 16 tells the text, 4 the letter with Shift, 1 is what these are built upon
@@ -55,6 +56,7 @@ STATUS_REPORT = b"\x1b[5n"  # DSR, answered CSI 0 n once all before it is done
 ESCAPE_SECONDS = 0.05  # a lone ESC older than this is the Escape key
 FRAME_SECONDS = 1.0  # a frame is given up that a terminal has not acknowledged which never did
 SLOWEST = 5e3  # bytes/s: for each 5 kB of such a frame a second more
+PASSED = 1e5  # likewise, of one that answers past tmux on this machine; tmux may lose either
 PATIENCE_SECONDS = 20.0  # and of one that did: the line is slow, or the network away for a while
 BURST_SECONDS = 0.01  # what ``max_rate`` allows in that time goes at once
 PIECE = 256  # bytes; a tty that can be written to takes so many without a long wait
@@ -132,6 +134,7 @@ class Screen:
         self._unanswered = self._overdue = self._given_up = 0  # status reports
         self._sent = self._heard = 0.0  # s, monotonic: last output of a tracked frame, last input
         self._answered = False  # a status report, ever
+        self._lost = False  # one past tmux, since the last key
         self.link = Link()
         self.flights: deque[Flight] = deque()  # of frames acknowledged, until somebody takes them
         self._to_tell = False  # a tracked frame was drawn, and no "ready" has come since
@@ -194,7 +197,7 @@ class Screen:
         device.write_all(self._out, ENTER_ALTERNATE)
 
     def _set_modes(self) -> None:
-        device.write_all(self._out, HIDE_CURSOR + self._switched() + CLEAR)
+        device.write_all(self._out, HIDE_CURSOR + self._switched() + cleared(self.terminal))
 
     def _wanted(self) -> tuple[tuple[bytes, bytes], ...]:
         """The modes that this terminal is to have, in the order in which they are undone."""
@@ -248,6 +251,7 @@ class Screen:
         undo = STRING_END if self._rest else b""  # of a picture that is sent in part
         self._rest.clear()
         undo += END_UPDATE + STRING_END + self.cleanup + self._undone()
+        undo += scrolled_out(self.terminal)  # else the next program there would be slow
         undo += PLAIN + SHOW_CURSOR + LEAVE_ALTERNATE
         seconds = BUSY_SECONDS if self._answered and self._answering else LEAVE_SECONDS
         try:
@@ -406,7 +410,7 @@ class Screen:
 
     def clear(self) -> None:
         """Nothing on the screen, cursor at its top left. Pictures of kitty's go, too."""
-        self._send(CLEAR)
+        self._send(cleared(self.terminal))
 
     def draw(self, payload: bytes, track: bool = True) -> None:
         """One synchronized update, from the top left cell on; b"" writes nothing.
@@ -426,8 +430,7 @@ class Screen:
         elif self._answering:
             self._unanswered, self._sent, self._to_tell = self._unanswered + 1, now, True
             # tmux would answer at once, however far behind the terminal around it is
-            through = self.terminal.kitty and self.terminal.around
-            data += through_tmux(STATUS_REPORT) if through else STATUS_REPORT
+            data += through_tmux(STATUS_REPORT) if self._passed else STATUS_REPORT
             self.link.begin(now, len(data), sum(map(len, self._rest)))
             self._send(data)
         else:
@@ -462,9 +465,19 @@ class Screen:
         return max(0.0, min(self._sent + self._limit - now, wait))
 
     @property
+    def _passed(self) -> bool:
+        """Whether pictures, and questions about them, go past a tmux, which may lose them.
+
+        It was seen to, now and then (3.3a); and answers go to the pane that keys go to. So after a
+        loss tmux itself is asked, until a key comes.
+        """
+        return self.terminal.kitty and bool(self.terminal.around) and not self._lost
+
+    @property
     def _limit(self) -> float:
         if self._answered:
-            return PATIENCE_SECONDS
+            local = self._passed and not self.far
+            return FRAME_SECONDS + self.link.under_way / PASSED if local else PATIENCE_SECONDS
         return FRAME_SECONDS + self.link.under_way / SLOWEST
 
     # --- input
@@ -529,7 +542,9 @@ class Screen:
         for event in events:
             if event.kind == "resize":
                 self._take_size(event)
-            elif event.kind != "ready":
+                continue
+            self._lost &= event.kind not in ("key", "mouse")
+            if event.kind != "ready":
                 self._queue.append(event)
             elif self._overdue:
                 self._overdue -= 1  # of a frame given up: it is slow, but it answers
@@ -566,7 +581,13 @@ class Screen:
         if self._decoder.pending and now >= self._heard + ESCAPE_SECONDS:
             self._queue += self._decoder.flush()
             self._heard = now
-        if self._unanswered and now >= self._sent + self._limit:
+        if self._unanswered and now >= self._sent + self._limit and self._passed:
+            self._lost = True
+            self._unanswered = 0  # it does not come any more, nor may the picture have come
+            self.link.lost()
+            self._to_tell = False
+            self._queue.append(Event("resize"))
+        elif self._unanswered and now >= self._sent + self._limit:
             self._overdue, self._unanswered = self._overdue + self._unanswered, 0
             self._given_up += 1
             self._answering = self._given_up < GIVE_UPS

@@ -143,3 +143,25 @@ class Clipped:
             f"{count:,} {what}" + (f" (by {most:.3g} at most)" if math.isfinite(most) else "")
             for (what, count), most in zip(self.counts.items(), self.most.values(), strict=True)
         )
+
+
+def comments(source: Source) -> list[str]:
+    """Lines of a PLY header about the scene, in the words that :mod:`tsplat.io.says` knows."""
+    said = []
+    if source.antialias is not None:
+        said.append(f"comment antialiased {int(source.antialias)}")
+    if source.scene.up is not None:
+        said.append(
+            "comment Vertical axis: " + " ".join(f"{x:.9g}" for x in source.scene.up.direction)
+        )
+    return said
+
+
+def unsaid(source: Source, fmt: str, *, antialias: bool) -> list[str]:
+    """Notes on what ``fmt`` cannot say of the scene; ``antialias``: that it can."""
+    notes = []
+    if source.antialias is not None and not antialias:
+        notes.append(f"whether it was trained with antialiasing is not in {fmt}")
+    if source.scene.up is not None:
+        notes.append(f"which way is up ({source.scene.up.why}) is not in {fmt}")
+    return notes

@@ -21,6 +21,7 @@ from tsplat.io.write.base import (
     Clipped,
     WriteOptions,
     Written,
+    comments,
     logs,
     parts,
     smallest_three,
@@ -41,9 +42,11 @@ FEW = 0.75, 255.25
 """Where the nearest value changes at the ends: see :func:`_rest`."""
 
 
-def header(count: int, rest: int) -> bytes:
+def header(source: Source) -> bytes:
     """All before the first row."""
-    lines = ["ply", "format binary_little_endian 1.0", f"element chunk {-(-count // CHUNK)}"]
+    count, rest = len(source), 3 * (source.coefficients - 1)
+    lines = ["ply", "format binary_little_endian 1.0", *comments(source)]
+    lines += [f"element chunk {-(-count // CHUNK)}"]
     lines += [f"property float {name}" for name in RANGES]
     lines += [f"element vertex {count}", *(f"property uint {name}" for name in PACKED)]
     if rest:
@@ -55,7 +58,7 @@ def write(source: Source, out: BinaryIO, options: WriteOptions) -> Written:
     """See :class:`tsplat.io.write.base.Write`."""
     count, rest = len(source), 3 * (source.coefficients - 1)
     order = compact_order(source, CHUNK, COARSE)
-    head = header(count, rest)
+    head = header(source)
     out.write(head)
     ranges_at = len(head)
     packed_at = ranges_at + 4 * len(RANGES) * -(-count // CHUNK)
@@ -73,8 +76,6 @@ def write(source: Source, out: BinaryIO, options: WriteOptions) -> Written:
             out.write(_rest(source.sh(rows, 1), clipped).data)
         options.progress(part.stop, count)
     notes = [*clipped.notes()]
-    if source.antialias is not None:
-        notes.append("whether it was trained with antialiasing is not in a compressed PLY file")
     if source.wide:
         notes.append("ranges far from zero: readers that work in float32 lose detail")
     return Written(f"compressed PLY, SH {source.degree}", order, tuple(notes))

@@ -21,6 +21,7 @@ from tsplat.io.write.base import (
     FLOOR,
     WriteOptions,
     Written,
+    comments,
     logits,
     logs,
     parts,
@@ -54,7 +55,8 @@ def header(source: Source) -> bytes:
         *(f"property float scale_{i}" for i in range(3)),
         *(f"property float rot_{i}" for i in range(4)),
     ]
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(source)}", *names]
+    lines = ["ply", "format binary_little_endian 1.0", *comments(source)]
+    lines += [f"element vertex {len(source)}", *names]
     return "\n".join([*lines, "end_header", ""]).encode()
 
 
@@ -113,8 +115,6 @@ def _notes(source: Source) -> tuple[str, ...]:
     notes = []
     if source.wide:
         notes.append("positions are doubles: float32 would lose detail this far from zero")
-    if source.antialias is not None:
-        notes.append("whether it was trained with antialiasing is not in a PLY file")
     if source.verbatim is not None:
         notes += [f"left out: {what}" for what in source.verbatim.passed_over]
     else:

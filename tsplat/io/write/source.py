@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
 from tsplat.core.types import F32, I64, Floats, Scene
-from tsplat.edits import NOTHING, Edits, drawn, edited
+from tsplat.edits import NOTHING, Edits, edited, keeps
 from tsplat.io import clean
 from tsplat.io.base import sample_rows
 from tsplat.io.write.base import ROWS, parts
@@ -36,19 +36,19 @@ class Source:
         """``degree``: at most so many bands of harmonics. What ``edits`` cut is left out."""
         self.given = scene
         order = None if scene.numbers is None else np.argsort(scene.numbers)
-        self.cut = 0
+        self.cut: dict[str, int] = {}  # how many are left out by which edit, the first that does
         self.places: I64 | None = None  # which of the scene's rows, in its file's order, are left
-        if edits != NOTHING:
-            keep = drawn(scene, edits)
-            keep = keep if order is None else keep[order]
-            self.cut = len(scene) - int(np.count_nonzero(keep))
-            if self.cut:
-                self.places = np.flatnonzero(keep)
-                order = self.places if order is None else order[self.places]
+        left = np.ones(len(scene), bool)
+        for reason, kept in keeps(scene, edits).items():
+            self.cut[reason] = int(np.count_nonzero(left & ~kept))
+            left &= kept
+        if not left.all():
+            self.places = np.flatnonzero(left if order is None else left[order])
+            order = self.places if order is None else order[self.places]
         self.scene = edited(scene, edits)
         self.edits = edits
         self._order = order
-        self._count = len(scene) - self.cut
+        self._count = int(np.count_nonzero(left))
         top = scene.sh_degree if degree is None else min(degree, scene.sh_degree)
         self.degree = top
         self.coefficients = (top + 1) ** 2

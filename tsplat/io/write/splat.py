@@ -15,7 +15,7 @@ from tsplat.core.constants import SH_C0
 from tsplat.core.errors import OutputError
 from tsplat.core.types import F64
 from tsplat.io.splat import ROW
-from tsplat.io.write.base import Clipped, WriteOptions, Written, parts
+from tsplat.io.write.base import Clipped, WriteOptions, Written, parts, unsaid
 from tsplat.io.write.source import Source
 
 
@@ -39,8 +39,7 @@ def write(source: Source, out: BinaryIO, options: WriteOptions) -> Written:
         options.progress(part.stop, len(source))
     if source.given.sh_degree:
         notes.append(f"harmonics of degree 1 to {source.given.sh_degree} are left out")
-    if source.antialias is not None:
-        notes.append("whether it was trained with antialiasing is not in a .splat file")
+    notes += unsaid(source, "a .splat file", antialias=False)
     return Written(".splat", None, (*notes, *clipped.notes()))
 
 

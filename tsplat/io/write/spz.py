@@ -30,6 +30,7 @@ from tsplat.io.write.base import (
     logs,
     parts,
     smallest_three,
+    unsaid,
 )
 from tsplat.io.write.gzip import Gzip
 from tsplat.io.write.source import Source
@@ -208,6 +209,7 @@ def write(source: Source, out: BinaryIO, options: WriteOptions) -> Written:
             stream.write(head)
             for name in names:
                 fill(stream, name)
+    notes += (*unsaid(source, "an SPZ file", antialias=True),)
     if source.antialias is None:
         notes += ("it says that the scene was trained without antialiasing, as SPZ must say",)
     about = f"SPZ {version}, SH {source.degree}, {fraction} fractional bits"
