@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import gzip
 import json
-import os
 import shutil
 import statistics
 import subprocess
@@ -37,15 +36,26 @@ GSPLY = {
 HEADINGS = ("format", "by", "MB", "s", "write, s", "least, s", "peak, MB", "PSNR", "median")
 
 
+# A process begins with the peak of the one it was forked from, and this one is large.
+LAUNCH = """
+import os, subprocess, sys, time
+begin = time.perf_counter()
+child = subprocess.Popen(sys.argv[1:], stdout=subprocess.PIPE, stderr=sys.stderr)
+said = child.stdout.read().decode()
+_, status, used = os.wait4(child.pid, 0)
+print(time.perf_counter() - begin, used.ru_maxrss * 1024 / 1e6, said, sep="\\n")
+sys.exit(status != 0)
+"""
+
+
 def run(command: list[str]) -> tuple[float, float, str]:
     """Wall seconds, peak MB of a process, and what it says; raises if it fails."""
-    begin = time.perf_counter()
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    said = child.stdout.read().decode()
-    _, status, used = os.wait4(child.pid, 0)
-    if status:
-        raise SystemExit(f"{command[0]} failed: {child.stderr.read().decode()}")
-    return time.perf_counter() - begin, used.ru_maxrss * 1024 / 1e6, said
+    launch = [sys.executable, "-S", "-c", LAUNCH, *map(str, command)]
+    done = subprocess.run(launch, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{command[0]} failed: {done.stderr}")
+    seconds, peak, said = done.stdout.split("\n", 2)
+    return float(seconds), float(peak), said
 
 
 def least(path: Path) -> float:
