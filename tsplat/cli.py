@@ -20,7 +20,7 @@ from typing import TextIO
 from tsplat._version import __version__
 from tsplat.core.errors import TsplatError, printable
 
-COMMANDS = ("view", "cat", "render", "info", "plugins", "check", "bench")
+COMMANDS = ("view", "cat", "render", "convert", "info", "plugins", "check", "bench")
 SHELLS = ("bash", "zsh", "tcsh")
 VECTORS = ("--eye", "--target", "--up", "--background", "--crop")
 
@@ -31,8 +31,9 @@ DESCRIPTION = """\
   tsplat                                 look at the built-in demo scene
   tsplat cat scene.ply                   a picture among the text of this terminal
   tsplat render scene.ply -o out.png     make a picture, no terminal needed
+  tsplat convert scene.ply scene.spz     write a scene in another format
   tsplat info scene.ply                  what is in a file
-  tsplat plugins                         backends, presenters and readers that are installed
+  tsplat plugins                         backends, presenters, readers and writers
   tsplat check scene.ply                 prove every backend right on a scene
   tsplat bench scene.ply                 what each shortcut costs and saves on a scene
 """
@@ -78,6 +79,19 @@ examples:
 A path is a list of cameras, ours or INRIA's, each with a "time" in seconds or none; the camera
 passes through all of them smoothly. "orbit" turns the view that the camera options give once round
 the scene.
+"""
+CONVERT_EXAMPLES = """\
+examples:
+  tsplat convert scene.ply scene.spz
+  tsplat convert scene.ply scene.compressed.ply --sh-degree 1
+  tsplat convert scene.spz scene.ply --json | jq .pictures.psnr_worst
+  tsplat convert scene.ply small.splat --crop -2,-2,-2,2,2,2 --min-opacity 0.02
+  tsplat convert scene.ply scene.spz --format-version 2 --fractional-bits 14 --sh-bits 8
+  tsplat convert scene.sog out.bin --to ply --force --no-measure
+
+The suffix says which format: .ply (INRIA's), .compressed.ply (PlayCanvas'), .splat
+(antimatter15's), .spz (Niantic's); `tsplat plugins` lists more. The file is read back: how far
+each field is off is said, and how far pictures from standard views are.
 """
 INFO_EXAMPLES = """\
 examples:
@@ -218,6 +232,17 @@ def _bits(text: str) -> float:
     return rate
 
 
+def _sh_bits(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([1-8])(?:,([1-8]))?", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"expected 1 to 8, or two of these as 5,4, got {text!r}")
+    return int(match[1]), int(match[2] or match[1])
+
+
+def _fraction(text: str) -> int:
+    return int(_number(text, lambda v: v in range(24), "a whole number from 0 to 23"))
+
+
 def _threads(text: str) -> int:
     value = _count(text)
     if value > 256:
@@ -232,6 +257,13 @@ def _add_scene(parser: argparse.ArgumentParser, optional: bool = True, many: boo
         nargs="*" if many else "?" if optional else None,
         help="a splat file" + ("; the built-in demo scene if left out" if optional else ""),
     )
+    _add_reading(parser).add_argument(
+        "--sh-float32", action="store_true",
+        help="keep colours in float32 even where float16 moves none by 1/4 of an 8-bit level",
+    )  # fmt: skip
+
+
+def _add_reading(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     reading = parser.add_argument_group("reading")
     reading.add_argument(
         "--max-splats", type=_count, metavar="N", help="keep N Gaussians, an even sample"
@@ -239,10 +271,7 @@ def _add_scene(parser: argparse.ArgumentParser, optional: bool = True, many: boo
     reading.add_argument(
         "--raw-opacity", action="store_true", help="the file's opacities are 0..1, not logits"
     )
-    reading.add_argument(
-        "--sh-float32", action="store_true",
-        help="keep colours in float32 even where float16 moves none by 1/4 of an 8-bit level",
-    )  # fmt: skip
+    return reading
 
 
 def _add_antialias(parser: argparse._ActionsContainer, text: str) -> None:
@@ -309,8 +338,10 @@ def _add_pose(parser: argparse.ArgumentParser) -> None:
     pose.add_argument("--far", type=_positive, metavar="Z", help="nothing farther is drawn")
 
 
-def _add_edits(parser: argparse.ArgumentParser) -> None:
-    edits = parser.add_argument_group("edits", "the scene is as if its file had been so")
+def _add_edits(
+    parser: argparse.ArgumentParser, text: str = "the scene is as if its file had been so"
+) -> None:
+    edits = parser.add_argument_group("edits", text)
     edits.add_argument(
         "--splat-scale", type=_positive, default=1.0, metavar="F", help="times as large splats (1)"
     )
@@ -461,12 +492,51 @@ def make_parser() -> argparse.ArgumentParser:
     )
     render.add_argument("--json", action="store_true", help="print facts and timings as JSON")
 
+    convert = add("convert", "write a scene in another format", CONVERT_EXAMPLES)
+    convert.add_argument("scene", metavar="IN", help="a splat file")
+    convert.add_argument("output", metavar="OUT", help=".ply .compressed.ply .splat .spz")
+    convert.set_defaults(sh_float32=True)
+    convert.add_argument(
+        "--to", metavar="NAME", help="a writer of `tsplat plugins`, whatever the suffix"
+    )
+    convert.add_argument("--force", action="store_true", help="replace OUT if it is there")
+    convert.add_argument(
+        "--sh-degree", type=int, choices=range(4), metavar="D",
+        help="leave out harmonics above degree D, 0 to 3",
+    )  # fmt: skip
+    convert.add_argument("--json", action="store_true", help="print the summary as JSON")
+    spz = convert.add_argument_group("SPZ")
+    spz.add_argument(
+        "--format-version", type=_count, metavar="V", help="2, 3 (default) or 4 (zstd)"
+    )
+    spz.add_argument(
+        "--fractional-bits", type=_fraction, metavar="N",
+        help="of positions, 0 to 23 (12; more for small Gaussians, fewer for far ones)",
+    )  # fmt: skip
+    spz.add_argument(
+        "--sh-bits", type=_sh_bits, metavar="B[,B]",
+        help="of harmonics of degree 1, and of higher ones, 1 to 8 (5,4)",
+    )  # fmt: skip
+    _add_reading(convert)
+    _add_edits(convert, "what they cut is left out of the file")
+    measuring = convert.add_argument_group("measuring")
+    measuring.add_argument(
+        "--no-measure", action="store_true", help="do not read the file back and compare"
+    )
+    measuring.add_argument("--size", type=_pair, metavar="WxH", help="of pictures, px (480x270)")
+    measuring.add_argument(
+        "--cameras", metavar="FILE",
+        help="more cameras to compare from (cameras.json beside the scene or above it)",
+    )  # fmt: skip
+    measuring.add_argument("--backend", default="auto", metavar="B", help="what draws (auto)")
+    measuring.add_argument("--threads", type=_threads, metavar="N", help="default: every CPU")
+
     info = add("info", "say what is in a scene file", INFO_EXAMPLES)
     _add_scene(info, optional=False)
     _add_edits(info)
     info.add_argument("--json", action="store_true", help="print it as JSON")
 
-    plugins = add("plugins", "list backends, presenters and readers", PLUGINS_EXAMPLES)
+    plugins = add("plugins", "list backends, presenters, readers and writers", PLUGINS_EXAMPLES)
     _add_terminal(plugins)
     plugins.add_argument("--json", action="store_true", help="print it as JSON")
 

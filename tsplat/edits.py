@@ -128,8 +128,13 @@ def filtered(scene: Scene, edits: Edits) -> Scene:
     return replace(made.take(left), dropped={why: n for why, n in dropped.items() if n})
 
 
+def keeps(scene: Scene, edits: Edits) -> dict[str, Bools]:
+    """[N] which Gaussians each edit leaves in, by why it leaves out the others."""
+    opacities = _logits(scene.opacities) if edits.raw_opacity else scene.opacities
+    return _keeps(scene, opacities, edits)
+
+
 def _keeps(scene: Scene, opacities: F32, edits: Edits) -> dict[str, Bools]:
-    """Which Gaussians each edit leaves in, by why it leaves out the others."""
     keeps: dict[str, Bools] = {}
     if edits.crop is not None:
         keeps["outside --crop"] = _inside(scene, edits.crop)

@@ -13,13 +13,13 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F64, I32, Floats, Scene
+from tsplat.core.types import F32, F64, I32, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io import native
 from tsplat.io.base import Read, Reader, ReadOptions, refuse
@@ -111,6 +111,16 @@ def sigmoid(logits: F64) -> F64:
         return 1 / (1 + np.exp(-logits))
 
 
+class Stored(NamedTuple):
+    """Some rows of a file as they are there."""
+
+    means: Floats  # [n, 3]
+    quats: Floats  # [n, 4]  w, x, y, z; any length
+    logs: Floats  # [n, 3]  of scales
+    logits: Floats  # [n]  of opacities
+    sh: F32  # [n, K, 3]
+
+
 class Layout:
     """Where the properties of a Gaussian stand in rows of ``dtype``."""
 
@@ -146,21 +156,37 @@ class Layout:
         """
         if self._decoder and not raw_opacity and builder.decode(self._decoder, rows, to):
             return
-        sh = np.empty((len(rows), self.coefficients, 3), np.float32)
+        builder.add(*self.decoded(rows, raw_opacity), to)
+
+    def decoded(
+        self, rows: NDArray[np.void], raw_opacity: bool
+    ) -> tuple[Floats, Floats, F32, Floats, F32]:
+        """Means, quaternions, scales, opacities and coefficients of ``rows``; some not finite."""
+        found = self.stored(rows)
         # the builder drops what is not finite; what underflows is a point
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-            opacities = rows["opacity"].astype(np.float64)
-            means = self.means(rows)
-            quats = _floats(self._quats(rows))
-            scales = np.exp(self._scales(rows).astype(np.float64)).astype(np.float32)
-            if self._flat:
-                scales = np.concatenate([scales, np.zeros((len(rows), 1), np.float32)], axis=1)
+            opacities = found.logits.astype(np.float64)
+            scales = np.exp(found.logs.astype(np.float64)).astype(np.float32)
+        if self._flat:
+            scales = np.concatenate([scales, np.zeros((len(rows), 1), np.float32)], axis=1)
+        if not raw_opacity:
+            opacities = sigmoid(opacities)
+        return found.means, found.quats, scales, opacities, found.sh
+
+    def stored(self, rows: NDArray[np.void]) -> Stored:
+        """``rows`` as they stand in the file, float64 only where float32 does not hold them."""
+        sh = np.empty((len(rows), self.coefficients, 3), np.float32)
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             sh[:, 0] = self._dc(rows)
             for channel, columns in enumerate(self._rest):
                 sh[:, 1:, channel] = columns(rows)
-        if not raw_opacity:
-            opacities = sigmoid(opacities)
-        builder.add(means, quats, scales, opacities, sh, to)
+            return Stored(
+                self.means(rows),
+                _floats(self._quats(rows)),
+                _floats(self._scales(rows)),
+                _floats(rows["opacity"]),
+                sh,
+            )
 
 
 def check(path: Path, header: Header) -> Element:
