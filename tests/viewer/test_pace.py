@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import random
+import statistics
+
 import pytest
 
 from tsplat.viewer import pace as module
@@ -23,13 +26,32 @@ FULL = SIZE[0] * SIZE[1]
 class World:
     """Stages that take a fixed time and one in proportion to the pixels; a link of so many bytes/s.
 
+    ``terminal`` is what each picture takes there, however small it is.
+
     Frames are shown one after another; ``level`` of those shown last is what the tests look at.
     """
 
-    def __init__(self, fixed=0.0, full=0.010, encode=0.0, rate=1e9, fps=30.0, size=SIZE, far=False):
+    def __init__(
+        self,
+        fixed=0.0,
+        full=0.010,
+        encode=0.0,
+        rate=1e9,
+        fps=30.0,
+        size=SIZE,
+        far=False,
+        terminal=0.001,
+        noise=0.0,
+        kind=Pace,
+    ):
         self.fixed, self.full, self.encode, self.rate = fixed, full, encode, rate
+        self.terminal, self.noise, self.random = terminal, noise, random.Random(1)
         self.now = 100.0
-        self.pace = Pace(size, fps, lambda: self.now, far)
+        self.pace = kind(size, fps, lambda: self.now, far)
+
+    def taken(self, seconds):
+        """As a machine with other work has it: up to ``noise`` times longer."""
+        return seconds * (1 + self.noise * self.random.random())
 
     def show(self, frames=1, level=None):
         """Levels of ``frames`` frames."""
@@ -39,10 +61,9 @@ class World:
             width, height = self.pace.size(chosen)
             share = width * height / FULL
             sent = round(width * height * 0.5 * SHADES.get(self.pace.shades(chosen), 1.0))
-            flight = sent / self.rate + 0.001
-            self.pace.note(
-                chosen, self.fixed + self.full * share, self.encode * share, flight, sent
-            )
+            flight = self.taken(sent / self.rate + self.terminal)
+            render = self.taken(self.fixed + self.full * share)
+            self.pace.note(chosen, render, self.taken(self.encode * share), flight, sent)
             self.now += self.pace.interval(chosen)
             levels.append(chosen)
         return levels
@@ -78,6 +99,91 @@ def test_no_pixels_are_given_up_for_nothing():
     """60 ms whatever the size and 20 ms for all pixels: few pixels would not make it smooth."""
     world = World(fixed=0.060, full=0.020)
     assert set(world.show(40)[20:]) <= {0, 1}
+
+
+class Proportional(Pace):
+    """A wrong one: all that a frame takes is in proportion to its pixels."""
+
+    def _stages(self, level, known=None):
+        known = self._known() if known is None else known
+        if not known:
+            return 0.0, 0.0, 0.0
+        pixels = self._levels[level].pixels
+        near = min(known, key=lambda point: abs(point.pixels - pixels))
+        return tuple(s * pixels / near.pixels for s in near.stages)
+
+
+class Unheeding(Pace):
+    """A wrong one: no frame is too slow."""
+
+    def _finest(self, loads, limit):
+        return 0
+
+
+def shows(kind, **world):
+    """Levels of 60 frames of a picture whose first ones were a preview and the full one."""
+    world = World(kind=kind, **world)
+    world.show()
+    world.show(level=0)
+    return world, world.show(60)
+
+
+def keeps_all_pixels(kind):
+    """A terminal that paints its cells in 28 ms, whatever the picture; and a busy machine."""
+    _, levels = shows(kind, full=0.010, encode=0.004, terminal=0.028, noise=0.6)
+    assert set(levels) == {0}
+
+
+def test_a_terminals_fixed_time_costs_no_pixels():
+    """Fewer would gain nothing, though some frames take longer than a frame's time."""
+    keeps_all_pixels(Pace)
+    with pytest.raises(AssertionError):
+        keeps_all_pixels(Proportional)
+
+
+def keeps_most_pixels(kind):
+    """38 ms for the splats, 45 more for all of the pixels: 30 a second are not to be had."""
+    world, levels = shows(kind, fixed=0.038, full=0.045, terminal=0.030, noise=0.3)
+    levels = levels[20:]
+    assert len(set(levels)) == 1
+    assert world.pace.size(levels[0])[0] >= 500
+
+
+def test_a_scenes_fixed_time_costs_few_pixels():
+    """None are given up down to a size at which they are hardly what a frame takes."""
+    keeps_most_pixels(Pace)
+    with pytest.raises(AssertionError):
+        keeps_most_pixels(Proportional)
+
+
+def meets_the_rate(kind, rate):
+    """Bytes in proportion to the pixels, and 5 ms for each picture."""
+    world, levels = shows(kind, rate=rate, terminal=0.005, noise=0.1)
+    levels = levels[20:]
+    sizes = [world.pace.size(level) for level in levels]
+    seconds = statistics.median(w * h * 0.5 / rate + 0.005 for w, h in sizes)
+    assert seconds <= world.pace.period
+    w, h = world.pace.size(min(levels) - 1)
+    assert w * h * 0.5 / rate + 0.005 > 0.7 * world.pace.period
+
+
+@pytest.mark.parametrize("rate", [1e6, 3e6, 8e6])
+def test_a_terminals_time_for_each_pixel_is_heeded(rate):
+    """As many pixels as it takes in a frame's time, no more and not much fewer."""
+    meets_the_rate(Pace, rate)
+    with pytest.raises(AssertionError):
+        meets_the_rate(Unheeding, rate)
+
+
+def test_what_is_not_known_is_tried_step_by_step():
+    """A machine that gets ten times quicker: one level finer at a time, each of them measured."""
+    world = World(full=0.5)
+    world.show(30)
+    world.full = 0.010
+    world.now += 10 * STALE_SECONDS
+    levels = world.show(20)
+    assert levels[-1] == 0
+    assert max(a - b for a, b in zip(levels, levels[1:], strict=False)) == 1
 
 
 def test_a_slow_link_is_not_fed_faster_than_it_takes():
@@ -160,7 +266,7 @@ def test_dear_bytes_cost_shades(rate, monkeypatch):
     level = world.show(30)[-1]
     assert world.pace.shades(level) is not None
     assert world.pace.load(level) <= SLOW
-    finer = world.pace.load(level - 1, flights=True)
+    finer = world.pace.flight(level - 1)
     assert finer > 0.8 * SLOW
     monkeypatch.setattr(module, "SLOW", 100.0)
     wrong = World(rate=rate, far=True)

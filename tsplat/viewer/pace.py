@@ -1,11 +1,15 @@
 """How many pixels a moving picture has, and how often a new one is begun.
 
 A level is a share of the pixels each way, and for links that are slow so many shades of each colour
-channel. What a frame takes is remembered by level: of render,
-encode and flight (how long it keeps the link busy) the slowest, or half of all three if that is
-more. If it is no more than a frame's time, the stages keep up with each other, and a key's picture
-is there within three frames' time, one until the next frame is begun, two for the stages; and the
-way there and back, which no level makes shorter.
+channel. What a frame takes is remembered by level, for each stage by itself: render, encode and
+flight (how long it keeps the terminal or the link busy). Each is a fixed time and one in proportion
+to the pixels. A frame's load is that of the slowest stage, or half of all three if that is more. If
+it is no more than a frame's time, the stages keep up with each other, and a key's picture is there
+within three frames' time, one until the next frame is begun, two for the stages; and the way there
+and back, which no level makes shorter.
+
+Pixels are given up for a frame's time only as far as they are what it takes: splats are projected
+and cells are painted however few pixels a picture has.
 
 Over a network there are more levels, beyond the coarsest that one likes to look at. They come in
 only where frames would take longer than ``SLOW``: what is slower does not look like motion.
@@ -14,9 +18,10 @@ only where frames would take longer than ``SLOW``: what is slower does not look 
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from statistics import median_high, median_low
 
@@ -27,15 +32,18 @@ DEAR_SHORTEST = 8  # px
 SHADES = {16: 0.4, 8: 0.26}  # how many of a channel: what is left of the bytes, kitty's and cells'
 SLOW = 0.1  # s a frame
 PREVIEW = 80_000  # px of the first picture, when nothing is known of link and scene
-SAMPLES = 3  # of a level: their median counts, so that one hiccup does not
+SAMPLES = 5  # of a level: their median counts, so that one hiccup does not
 STALE_SECONDS = 5.0  # for what was measured before: another view, another load
 FAR_STALE_SECONDS = 30.0  # over a network, where to try what is too slow costs more
 FORGOTTEN = 5  # times as old
 HEADROOM = 0.8  # of a frame's time, at which a finer level is tried
-GAIN = 1.35  # a level is left for coarser ones only if it takes so much longer than the coarsest
-REGAIN = 1.2  # and come back to if it takes no more than that
+GAIN = 1.6  # a level is left for coarser ones only if it takes so much longer than the coarsest
+REGAIN = 1.4  # and come back to if it takes no more than that
 PATIENCE = 0.5  # s, for the next step of a picture that stands still
 LINK_SAMPLES = 8
+NEAR = 0.5  # octaves of pixels: a level so far away counts half as much
+
+Stages = tuple[float, float, float]  # s of render, encode and flight
 
 
 @dataclass
@@ -44,9 +52,50 @@ class _Level:
     shades: int | None  # None: all
     block: int | None  # px of the full size that one stands for, each way; None: in no such raster
     pixels: float  # as many as take the same time
-    loads: deque[float] = field(default_factory=lambda: deque(maxlen=SAMPLES))  # s
-    flights: deque[float] = field(default_factory=lambda: deque(maxlen=SAMPLES))  # s, of these
+    taken: deque[Stages] = field(default_factory=lambda: deque(maxlen=SAMPLES))
     noted: float = 0.0  # s, of the clock
+
+    @property
+    def stages(self) -> Stages:
+        """The medians."""
+        render, encode, flight = zip(*self.taken, strict=True)
+        return median_low(render), median_low(encode), median_low(flight)
+
+
+@dataclass(frozen=True)
+class _Point:
+    """What is known of a level."""
+
+    pixels: float
+    stages: Stages
+    count: int  # of frames
+
+
+def _line(points: Sequence[_Point], stage: int, pixels: float) -> float:
+    """Seconds that ``stage`` should take for so many ``pixels``.
+
+    A fixed time and one for each pixel, neither below 0, as fits best: what is like in its pixels
+    counts most. All of it is in proportion to them if there is only one point.
+    """
+    octaves = [math.log2(point.pixels / pixels) / NEAR for point in points]
+    weights = [point.count / (1 + n * n) for point, n in zip(points, octaves, strict=True)]
+
+    def mean(values: Iterable[float]) -> float:
+        return sum(w * value for w, value in zip(weights, values, strict=True)) / sum(weights)
+
+    x, y = [p.pixels / pixels for p in points], [p.stages[stage] for p in points]
+    middle, height = mean(x), mean(y)
+    spread = mean((n - middle) ** 2 for n in x)
+    if not spread:
+        return height / middle
+    each = mean((n - middle) * (s - height) for n, s in zip(x, y, strict=True)) / spread
+    if each > 0 and height < each * middle:
+        return mean(s / n for n, s in zip(x, y, strict=True))
+    return height + max(0.0, each) * (1 - middle)
+
+
+def _load(stages: Stages) -> float:
+    return max(*stages, sum(stages) / 2)
 
 
 @dataclass(frozen=True)
@@ -124,70 +173,73 @@ class Pace:
         ``flight`` is how long the link was busy with it, ``way`` how long it took to be answered
         (None: the same).
         """
-        stages = render, encode, flight
         self._made.append(render + encode)
         row = self._levels[level]
         if self._age(row) > 1:
-            row.loads.clear()
-            row.flights.clear()
-        row.loads.append(max(*stages, sum(stages) / 2))
-        row.flights.append(flight)
+            row.taken.clear()
+        row.taken.append((render, encode, flight))
         row.noted = self._clock()
         self._link.append((sent, flight, flight if way is None else way))
-        self._choose()
+        self._choose(level)
 
     def _age(self, row: _Level) -> float:
         """How often what is known of ``row`` went stale."""
         return (self._clock() - row.noted) / self._stale
 
-    def _known(self, flights: bool) -> list[tuple[float, float]]:
-        """(pixels, s) of the levels that something is known of, the fewest pixels first.
-
-        The loads, or the flights alone.
+    def _known(self) -> list[_Point]:
+        """What is known of levels.
 
         What was measured long ago of finer levels is believed less and less, so that they are
         tried again; of coarser ones it is forgotten.
         """
-        rows = [row for row in self._levels if row.loads]
+        rows = [row for row in self._levels if row.taken]
         last = max(rows, key=lambda row: row.noted, default=None)
         known = []
         for row in rows:
-            seconds, stale = median_low(row.flights if flights else row.loads), self._age(row) - 1
+            stages, stale = row.stages, self._age(row) - 1
             if last is not None and row is not last and stale > 0:
-                if row.pixels < last.pixels:
-                    if stale < FORGOTTEN:
-                        known.append((row.pixels, seconds))
+                if row.pixels < last.pixels and stale >= FORGOTTEN:
                     continue
-                now = median_low(last.flights if flights else last.loads)
-                seconds = now + max(0.0, seconds - now) * 0.5**stale
-            known.append((row.pixels, seconds))
-        return sorted(known)
+                if row.pixels > last.pixels:
+                    render, encode, flight = (
+                        now + max(0.0, then - now) * 0.5**stale
+                        for then, now in zip(stages, last.stages, strict=True)
+                    )
+                    stages = render, encode, flight
+            known.append(_Point(row.pixels, stages, len(row.taken)))
+        return known
 
-    def load(self, level: int, flights: bool = False) -> float:
-        """Seconds that a frame at ``level`` should take: on the line through the two nearest.
-
-        Or its flight alone.
-
-        In proportion to the pixels if there are no two, and below the coarsest that is known: what
-        does not depend on the pixels shows only there.
-        """
-        known, pixels = self._known(flights), self._levels[level].pixels
+    def _stages(self, level: int, known: Sequence[_Point] | None = None) -> Stages:
+        """What a frame at ``level`` should take."""
+        known, pixels = self._known() if known is None else known, self._levels[level].pixels
         if not known:
-            return 0.0
-        if len(known) == 1 or pixels < known[0][0]:
-            return known[0][1] * pixels / known[0][0]
-        near = sorted(sorted(known, key=lambda point: abs(point[0] - pixels))[:2])
-        (few, fast), (many, slow) = near
-        slope = max(0.0, (slow - fast) / (many - few))
-        return max(0.0, fast + slope * (pixels - few))
+            return 0.0, 0.0, 0.0
+        return _line(known, 0, pixels), _line(known, 1, pixels), _line(known, 2, pixels)
 
-    def _choose(self) -> None:
-        loads = [self.load(n) for n in range(len(self._levels))]
+    def load(self, level: int) -> float:
+        """Seconds from one frame at ``level`` to the next that the stages should need."""
+        return _load(self._stages(level))
+
+    def flight(self, level: int) -> float:
+        """Seconds that a frame at ``level`` should keep the link busy."""
+        return self._stages(level)[2]
+
+    def _choose(self, noted: int) -> None:
+        """The next level, now that a frame at the level ``noted`` was shown."""
+        known = self._known()
+        stages = [self._stages(n, known) for n in range(len(self._levels))]
+        loads = [_load(row) for row in stages]
         level = self._finest(loads[: self._fine], self.period)
         if self._fine < len(loads):  # it is the link that those are for, not a slow machine
-            flights = [self.load(n, flights=True) for n in range(len(loads))]
-            level = max(level, self._finest(flights, SLOW))
+            level = max(level, self._finest([flight for *_, flight in stages], SLOW))
+        if level < self.level and not self._fresh(level):
+            # what finer ones take is a guess: one step, and no other before that one is known
+            level = self.level - (noted == self.level)
         self.level = level
+
+    def _fresh(self, level: int) -> bool:
+        row = self._levels[level]
+        return bool(row.taken) and self._age(row) <= 1
 
     def _finest(self, loads: list[float], limit: float) -> int:
         """The finest level that takes no more than ``limit`` s; or little more than the coarsest.
@@ -210,7 +262,7 @@ class Pace:
         if not self._made or self._fine == len(self._levels):
             return None
         made = median_high(self._made)
-        return made if made < self.load(level, flights=True) else None
+        return made if made < self.flight(level) else None
 
     def finer(self, level: int) -> int | None:
         """What follows ``level`` in a picture that stands still; None after the full size.
