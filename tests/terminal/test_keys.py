@@ -128,7 +128,14 @@ NAMES = {
     b"\x1b[49;5u": ("ctrl+1", "1"), b"\x1b[99;6u": ("ctrl+c", "c"),
     b"\x1b[13;2u": ("enter", "enter"), b"\x1b[127;5u": ("backspace", "backspace"),
     # C on a Cyrillic keyboard, which is the key of a US one that counts with Ctrl
-    b"\x1b[1089::99;5u": ("ctrl+c", "с"), b"\x1b[1089::99;;1089u": ("с", "с"),  # noqa: RUF001
+    b"\x1b[1089::99;5u": ("ctrl+c", "с"), b"\x1b[1089::99;;1089u": ("c", "с"),  # noqa: RUF001
+    # W and Shift and W there; what is [ on a US one; a key whose place is not told
+    b"\x1b[1094::119;;1094u": ("w", "ц"), b"\x1b[1094:1062:119;2;1062u": ("W", "ц"),
+    b"\x1b[1094::119;1:2;1094u": ("w", "ц"), b"\x1b[1094::119;1:3u": ("w", "ц"),
+    b"\x1b[1093::91;;1093u": ("[", "х"), b"\x1b[1094;;1094u": ("ц", "ц"),  # noqa: RUF001
+    # Latin letters are what they are, wherever they are: Z on a German keyboard, A on a French one
+    b"\x1b[122::121;;122u": ("z", "z"), b"\x1b[97::113;;97u": ("a", "a"),
+    b"\x1b[246::59;;246u": ("ö", "ö"),
     # Alt; Option that composes; Super is none of the others
     b"\x1b[120;3;120u": ("alt+x", "x"), b"\x1b[97:65;4;65u": ("alt+A", "a"),
     b"\x1b[99;7u": ("alt+ctrl+c", "c"), b"\x1b[97;3;229u": ("å", "a"), b"\x1b[97;;229u": ("å", "a"),
@@ -147,7 +154,18 @@ NAMES = {
 def test_names(data):
     """By kitty's specification."""
     name, code = NAMES[data]
-    assert decode(data) == [Event("key", name, "press", code=code)]
+    action = "repeat" if b";1:2" in data else "release" if b";1:3" in data else "press"
+    assert decode(data) == [Event("key", name, action, code=code)]
+
+
+def test_places_that_are_wrong_are_not_believed():
+    """As Konsole's are: a letter is itself then, but for Ctrl."""
+    decoder = Decoder()
+    decoder.places = False
+    (event,) = decoder.feed(b"\x1b[1094::112;;1094u")
+    assert (event.key, event.code) == ("ц", "ц")
+    (event,) = decoder.feed(b"\x1b[1089::99;5u")
+    assert event.key == "ctrl+c"
 
 
 @pytest.mark.parametrize(

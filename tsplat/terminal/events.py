@@ -66,11 +66,13 @@ class Decoder:
     :meth:`flush` takes what is there for keys.
 
     ``keyboard`` says that kitty's keyboard protocol is on, so that releases will be told also of
-    keys whose press looks as ever. ``cell``, its width and height in px, says that the mouse is
-    told in pixels (mode 1016).
+    keys whose press looks as ever; ``places``, that it is right about where keys are on a US
+    keyboard. ``cell``, its width and height in px, says that the mouse is told in pixels (mode
+    1016).
     """
 
     keyboard: bool = False
+    places: bool = True
     cell: tuple[float, float] | None = None
 
     def __init__(self) -> None:
@@ -171,7 +173,9 @@ class Decoder:
         if middle or parameters[:1] in (b"?", b">", b"=", b"<") or final in b"cnty":
             self.answers += match.group()
             return match.end(), None
-        return match.end(), _key(decoded(parameters.decode(), final.decode(), self.keyboard))
+        return match.end(), _key(
+            decoded(parameters.decode(), final.decode(), self.keyboard, self.places)
+        )
 
     def _string(self, data: bytes) -> tuple[int, Event | None]:
         """A DCS, OSC, APC, PM or SOS up to ST (or BEL); a control character breaks it off."""

@@ -3,11 +3,13 @@
 Control characters and the sequences of xterm:
 https://invisible-island.net/xterm/ctlseqs/ctlseqs.html . Kitty's keyboard protocol, with the
 numbers of its functional keys: https://sw.kovidgoyal.net/kitty/keyboard-protocol/ ; whatever a key
-is called without that protocol, it is called with it.
+is called without that protocol, it is called with it. Letters of other scripts are called what a US
+keyboard has in their place, as what keys do is said in Latin letters.
 """
 
 from __future__ import annotations
 
+import unicodedata
 from typing import NamedTuple
 
 _LETTERS = {
@@ -77,10 +79,11 @@ class Key(NamedTuple):
     code: str
 
 
-def decoded(parameters: str, final: str, told: bool = False) -> Key | None:
+def decoded(parameters: str, final: str, told: bool = False, places: bool = True) -> Key | None:
     """The key of ``CSI parameters final``, or of SS3; None for one that has no name.
 
-    ``told`` says that releases will be told, though this press does not say so.
+    ``told`` says that releases will be told, though this press does not say so; ``places``, that
+    the places of keys on a US keyboard are to be believed, also without Ctrl.
     """
     fields = [[_number(part) for part in field.split(":")] for field in parameters.split(";")]
     first = fields[0][0]
@@ -93,7 +96,7 @@ def decoded(parameters: str, final: str, told: bool = False) -> Key | None:
         action = _ACTIONS[kind]
     if final == "u":
         text = "".join(map(_character, fields[2])) if len(fields) > 2 else ""
-        return _unicode_key(fields[0], held, action, text)
+        return _unicode_key(fields[0], held, action, text, places)
     if final == "~":
         name = _NUMBERS.get(first, "")
     elif (final == "M" and parameters) or (final in "PQRS" and first not in (0, 1)):
@@ -108,7 +111,7 @@ def decoded(parameters: str, final: str, told: bool = False) -> Key | None:
     return Key(_prefix(held) + name, action, code)
 
 
-def _unicode_key(codes: list[int], held: int, action: str, text: str) -> Key | None:
+def _unicode_key(codes: list[int], held: int, action: str, text: str, places: bool) -> Key | None:
     """A key by its code point, the one with Shift, and the one of a US keyboard."""
     code, shifted, base = (*codes, 0, 0)[:3]
     if code in _PLAIN:
@@ -129,6 +132,9 @@ def _unicode_key(codes: list[int], held: int, action: str, text: str) -> Key | N
         return Key(text, action, "") if text and code == 0 and action == "press" else None
     capital = _character(shifted) if held & _SHIFT else ""
     if held & ~_SHIFT == 0:
+        latin = _character(base) if places and _foreign(plain) else ""
+        if latin.isascii() and latin:
+            return Key(latin.upper() if held else latin, action, plain)
         return Key(text or capital or plain, action, plain)
     if held & ~_SHIFT == _ALT and text and text not in (plain, capital):
         return Key(text, action, plain)  # Option composes
@@ -139,6 +145,11 @@ def _unicode_key(codes: list[int], held: int, action: str, text: str) -> Key | N
     if latin.isascii() and (latin in " ?" or 0x40 <= ord(latin) < 0x7F):
         name = CONTROLS[0x7F if latin == "?" else ord(latin) & 0x1F]
     return Key(_prefix(held & ~(_SHIFT | _CTRL)) + name, action, plain)
+
+
+def _foreign(letter: str) -> bool:
+    """Whether it is a letter of another script than the Latin one."""
+    return letter.isalpha() and not unicodedata.name(letter, "").startswith("LATIN")
 
 
 def _prefix(held: int) -> str:

@@ -49,6 +49,7 @@ HIDE_CURSOR, SHOW_CURSOR = b"\x1b[?25l", b"\x1b[?25h"
 # Kitty's keyboard protocol, on a stack that each screen has of its own: 2 tells releases, 8 those
 # of letters, too; 16 tells the text, 4 the letter with Shift, 1 is what these are built upon
 KEYS = b"\x1b[>31u", b"\x1b[<u"
+MISPLACES = "Konsole"  # 26.08: W is where a US keyboard has P
 PIXELS = b"\x1b[?1016h", b"\x1b[?1016l"  # the mouse in px; after 1006, which it takes the place of
 MOUSE = b"\x1b[?1002h\x1b[?1006h", b"\x1b[?1006l\x1b[?1002l"  # buttons and drags, told as SGR
 FOCUS = b"\x1b[?1004h", b"\x1b[?1004l"  # unknown to some, harmless to all
@@ -242,6 +243,7 @@ class Screen:
         """What makes the modes that are on those that are wanted. Never is one on twice."""
         off, self._on = self._undone(), self._wanted()
         self._decoder.keyboard = KEYS in self._on
+        self._decoder.places = not self.terminal.name.startswith(MISPLACES)
         return off + b"".join(on for on, _ in reversed(self._on))
 
     def _undone(self) -> bytes:
