@@ -50,6 +50,22 @@ def test_every_recorded_terminal(name):
     assert (rows["DA1"][0] == NOTHING) is (name == "ghostty-web")
 
 
+def test_a_window_larger_than_sixel_pictures_is_told():
+    """Where xterm's limit cuts them off, and with what it does not; nothing where they fit."""
+    answers, environ, _, facts = RECORDED["xterm vt340"]
+    said = {}
+    for columns in (90, 160):
+        rows, _ = table(Heard(answers), environ, (30, columns, 10 * columns, 570))
+        said[columns] = rows["XTSMGRAPHICS"][1]
+    assert said[90] == "1024 registers, 1000x1000 px"
+    assert "the window has more" in said[160]
+    assert "-xrm '*maxGraphicSize: 2000x2000'" in said[160]
+    wide = replace(facts, columns=160)
+    assert replace(wide, sixel_max=(0, 0)).sixel_cut == ""
+    assert replace(wide, sixel=False).sixel_cut == ""
+    assert "xterm" not in replace(wide, name="other").sixel_cut
+
+
 def test_answers_are_shown():
     """As they came, without ESC."""
     rows, _ = table(Heard(KITTY48 + b"\x1b_Gi=32;EBADF:no\x1b\\"), {})

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from tsplat.core.errors import PluginError, printable
 
 BLOCK = 16  # rows compared at once
+LIMIT_TOLD = 2000  # px; xterm's own limit is 1000
 
 if TYPE_CHECKING:  # tsplat.terminal needs Terminal, but not NumPy
     from tsplat.core.types import U8, Frame
@@ -72,6 +73,19 @@ class Terminal:
         """Width and height in px of the area a picture may fill."""
         width, height = self.columns * self.cell_width, self.picture_rows * self.cell_height
         return max(1, int(width)), max(1, int(height))
+
+    @property
+    def sixel_cut(self) -> str:
+        """That its largest sixel picture is smaller than the area, and what helps; "" if not."""
+        most = self.sixel_max
+        fits = all(not n or n >= px for n, px in zip(most, self.pixels, strict=True))
+        if fits or not self.sixel:
+            return ""
+        words = f"sixel pictures of at most {most[0]}x{most[1]} px here, the window has more"
+        if not self.name.startswith("XTerm"):
+            return words
+        wanted = max(LIMIT_TOLD, *self.pixels)
+        return f"{words}: start xterm -xrm '*maxGraphicSize: {wanted}x{wanted}'"
 
 
 def _nothing(terminal: Terminal) -> bytes:

@@ -155,7 +155,8 @@ def findings(
         "XTSMGRAPHICS", _found(rb"\x1b\[\?[12];[0-9;]+S", heard.answers),
         f"{terminal.sixel_registers} registers, "
         + ("x".join(map(str, terminal.sixel_max)) + " px" if any(terminal.sixel_max)
-           else "any size"),
+           else "any size")
+        + (f"; {terminal.sixel_cut}" if terminal.sixel_cut else ""),
     )  # fmt: skip
     row(
         "DECRQM 2026", _found(rb"\x1b\[\?2026;[0-9]\$y", heard.answers),

@@ -98,6 +98,8 @@ def _figures(
     if terminal.multiplexer:
         yield "inside", terminal.multiplexer
     yield "chosen for", why
+    if terminal.sixel_cut and shown is not None and shown.presenter == "sixel":
+        yield "smaller", terminal.sixel_cut
     yield (
         "cells",
         f"{terminal.columns}x{terminal.rows} of {terminal.cell_width:.4g}x"
