@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 import statistics
 
@@ -183,7 +184,7 @@ def test_what_is_not_known_is_tried_step_by_step():
     world.now += 10 * STALE_SECONDS
     levels = world.show(20)
     assert levels[-1] == 0
-    assert max(a - b for a, b in zip(levels, levels[1:], strict=False)) == 1
+    assert max(a - b for a, b in itertools.pairwise(levels)) == 1
 
 
 def test_a_slow_link_is_not_fed_faster_than_it_takes():

@@ -37,7 +37,9 @@ from tsplat.views import frame_orbit
 if TYPE_CHECKING:
     from tsplat.viewer.verify import Verifier
 
-STILL_SECONDS = 0.08  # without a move the picture is refined; keys held down repeat faster
+STILL_SECONDS = 0.08  # without a move the picture is refined, in any case
+SOON_SECONDS = 0.03  # or sooner if that takes little time; a mouse is told 60 times a second
+STILL_SHARE = 0.3  # of the time that it takes: a move that comes after all is kept waiting as long
 FPS_SECONDS = 1.0  # that frames are counted over
 FIRST_SECONDS = 0.008  # of a held key that its first picture shows
 
@@ -83,6 +85,7 @@ class Viewer:
         self._recording: Recording | None = None
         self._click: tuple[float, float, float] | None = None  # s, monotonic, and cell: the last
         self._place = -1  # in the file of cameras
+        self._cut = ""  # what was said of pictures that are smaller than the window
         self._clock = self._moved = time.monotonic()
         self._moved -= STILL_SECONDS
         self._frames: deque[float] = deque()  # when the last ones were shown
@@ -102,6 +105,10 @@ class Viewer:
         self._asked = None
         self._sent = deque(None for _ in self._sent)
         self._words.place(self._layout.panel, self._why)
+        cut = self._terminal.sixel_cut if self._presenter.name == "sixel" else ""
+        if cut not in ("", self._cut):
+            self._words.notify(cut)
+        self._cut = cut
 
     def _limit(self) -> None:
         """Holds frames and bytes to what the look and the presenter allow."""
@@ -350,7 +357,14 @@ class Viewer:
     @property
     def _moving(self) -> bool:
         now = time.monotonic()
-        return self._view.going or self._holding or now < self._moved + STILL_SECONDS
+        return self._view.going or self._holding or now < self._still_from
+
+    @property
+    def _still_from(self) -> float:
+        """When the view counts as resting, in monotonic s, if nothing more comes."""
+        finer = self._pace.finer(self._asked.level) if self._asked is not None else None
+        share = STILL_SHARE * self._pace.load(finer or 0)
+        return self._moved + min(STILL_SECONDS, max(SOON_SECONDS, share))
 
     @property
     def _holding(self) -> bool:
@@ -398,7 +412,7 @@ class Viewer:
         elif self._covered or self._pipeline.busy or self._screen.busy:
             pass  # an event comes
         elif self._moving:
-            ends.append(self._moved + STILL_SECONDS)
+            ends.append(self._still_from)
         elif self._around.verifier and (wait := self._around.verifier.wait()) is not None:
             ends.append(now + wait)
         return max(0.0, min(ends) - now) if ends else None
