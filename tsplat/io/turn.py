@@ -143,7 +143,8 @@ def half_turned(scene: Scene) -> Scene:
         x, y, z = up.direction
         up = Up((x, -y, -z), f"{up.why}; turned by 180 degrees about x")
     return replace(
-        scene, means=np.asarray(turn.means(scene.means), np.float32), quats=np.ascontiguousarray(turn.quats(scene.quats)),
+        scene, means=np.asarray(turn.means(scene.means), np.float32),
+        quats=np.ascontiguousarray(turn.quats(scene.quats)),
         sh=np.ascontiguousarray(turn.sh(scene.sh.copy())),
         origin=scene.origin * turn.matrix.diagonal(), up=up,
     )  # fmt: skip
