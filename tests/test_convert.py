@@ -20,8 +20,9 @@ from tests.conftest import gaussians, hear_signals
 from tests.io.plywriter import BIG, LITTLE, TEXT, raw_columns
 from tests.io.realdata import needs_data
 from tests.io.writing import by_plyfile, check, drawn
-from tsplat import load_scene, save_scene
+from tsplat import load_scene, render, save_scene
 from tsplat.cli import main
+from tsplat.core.camera import look_at
 from tsplat.core.errors import OutputError
 from tsplat.io.write.source import Source
 from tsplat.quality.converted import angles, field_errors, picture_errors, standard_views
@@ -398,3 +399,24 @@ def test_splat_transform_reads_what_is_written(tmp_path, fmt):
     made = tmp_path / "made.ply"
     subprocess.run([TOOL, "-q", tmp_path / f"a.{fmt}", made], check=True, capture_output=True)
     check(fmt, scene, by_plyfile(made), written)
+
+
+def test_a_scene_on_its_head_is_turned(tmp_path, capsys):
+    """--flip-y turns by 180 degrees about x: the picture of a camera that was turned with it."""
+    inria(tmp_path / "a.ply", 200, 3)
+    told = facts(capsys, tmp_path / "a.ply", tmp_path / "b.ply", "--flip-y")
+    assert not told["exact"]
+    before, after = load_scene(tmp_path / "a.ply"), load_scene(tmp_path / "b.ply")
+    np.testing.assert_allclose(after.means, before.means * [1, -1, -1], rtol=1e-6)
+    eye, target, up = np.array([1.0, -2, -5]), np.array([0.2, 0.1, 0]), np.array([0.0, -1, 0.3])
+    turned = np.array([1, -1, -1])
+    pictures = [
+        render(scene, look_at(eye * by, target * by, up * by, 50, 64, 48)).rgb
+        for scene, by in ((before, np.ones(3)), (after, turned), (after, np.ones(3)))
+    ]
+    np.testing.assert_allclose(pictures[0], pictures[1], atol=1e-4)
+    assert np.abs(pictures[0] - pictures[2]).max() > 0.1
+    facts(capsys, tmp_path / "b.ply", tmp_path / "c.ply", "--flip-y")
+    again = load_scene(tmp_path / "c.ply")
+    np.testing.assert_array_equal(again.means, before.means)
+    np.testing.assert_allclose(again.sh, before.sh, atol=1e-6)
