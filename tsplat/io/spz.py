@@ -22,9 +22,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tsplat.core.constants import UPWARDS
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, I64, U8, Floats, Scene, Up
+from tsplat.core.types import F32, I64, U8, UPWARDS, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.gather import (
