@@ -436,8 +436,10 @@ def read(path: Path, options: ReadOptions) -> Scene:
     options = stretch(options, UNPACKING, 1)
     turn = Turn(axes(system))
     about = head.about if system == DEFAULT else f"{head.about}, axes {system}"
-    told = "an SPZ file's" if system == DEFAULT else "the file says that its"
-    up = Up(UPWARDS, f"{told} axes are {system}; turned to x right, y down, z forward")
+    told = f"an SPZ file's axes are {system} (not every writer heeds that)"
+    if system != DEFAULT:
+        told = f"the file says that its axes are {system}"
+    up = Up(UPWARDS, f"{told}; turned to x right, y down, z forward")
     return gather(
         path, Splats(head, planes, turn), options, about=about, antialias=head.antialiased, up=up
     )
