@@ -165,7 +165,7 @@ def parse(path: Path, place: str, content: bytes) -> Field:
         refuse(path, f"{what}JSON that is nested too deeply; the file is damaged")
     except ValueError as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
         text = printable(" ".join(str(error).split()), 100)
-        refuse(path, f"{what}JSON that cannot be read: {text}")
+        refuse(path, f"{what}JSON that cannot be read: {text}; the file is damaged")
     root = Field(path, what, value)
     if not isinstance(value, dict):
         refuse(path, f"{what}expected a JSON object, got {_shown(value)}")

@@ -191,7 +191,10 @@ class _File:
         uri = buffer.maybe("uri")
         if uri is None:
             if self._chunk is None or number != 0:
-                refuse(self.path, f"{buffer.place} has no uri, and no binary chunk is for it")
+                refuse(
+                    self.path,
+                    f"{buffer.place} has no uri, and no binary chunk is for it; it is damaged",
+                )
             return self._chunk
         text = uri.text()
         if text.startswith(DATA):
@@ -215,7 +218,9 @@ class _File:
         try:
             return base64.b64decode(body, validate=True)
         except binascii.Error as error:
-            refuse(self.path, f"{uri.place}: data that is no base64: {printable(error)}")
+            refuse(
+                self.path, f"{uri.place}: data that is no base64: {printable(error)}; it is damaged"
+            )
 
     def accessor(self, index: Field, kind: str) -> Accessor:
         """What ``index`` counts, which must be of type ``kind``."""

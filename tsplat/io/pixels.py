@@ -34,7 +34,11 @@ def image_size(path: Path, place: str, content: bytes) -> tuple[int, int]:
             return width, height
     if kind in (b"VP8 ", b"VP8X"):
         refuse(path, f"{place}: a lossy WebP, expected a lossless one; its numbers are lost")
-    return refuse(path, f"{place}: neither WebP nor PNG (begins with {content[:4]!r})")
+    return refuse(
+        path,
+        f"{place}: neither WebP nor PNG (begins with {content[:4]!r}), expected one of them; "
+        "the file is damaged",
+    )
 
 
 def _chunks(content: bytes) -> set[bytes]:

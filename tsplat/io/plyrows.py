@@ -125,7 +125,7 @@ def _parsed(path: Path, lines: tuple[bytes, ...]) -> tuple[bool, tuple[Element, 
         # counts of zero: plyfile parses the whole header and neither reads nor allocates a row
         data = PlyData.read(io.BytesIO(b"\n".join([*emptied, b"end_header\n"])))
     except REFUSALS as error:
-        refuse(path, f"PLY header that cannot be read: {_one_line(error)}")
+        refuse(path, f"PLY header that cannot be read: {_one_line(error)}; it is damaged")
     order = data.byte_order
     elements = tuple(_element(e, int(c), order) for e, c in zip(data.elements, counts, strict=True))
     return bool(data.text), elements
@@ -152,7 +152,10 @@ def _check_size(path: Path, header: Header, size: int) -> None:
     promised = len(header)
     for element in header.elements:
         if element.count and not element.properties:
-            refuse(path, f"PLY element {element.name} has {element.count} rows of no properties")
+            refuse(
+                path,
+                f"PLY element {element.name} has {element.count} rows of no properties; it is damaged",
+            )
         # a number in text is at least a digit and a space or line end
         promised += element.count * (2 * len(element.properties) if header.text else element.row)
     if header.text:

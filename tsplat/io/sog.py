@@ -294,7 +294,8 @@ def _bundle(path: Path, options: ReadOptions) -> Scene:
             if member not in bundle.names:
                 refuse(
                     path,
-                    f"{name.place} names {printable(name.value, 60)}, which is not in the archive",
+                    f"{name.place} names {printable(name.value, 60)}, which is not in the archive; "
+                    "copy or download it again",
                 )
             # a WebP is not compressed further; deflate takes off a little, or what was idle
             return bundle.read(member, name.place, 4 * bundle.size + (1 << 20))

@@ -305,7 +305,7 @@ def _planes_gzip(path: Path, content: bytes, options: ReadOptions) -> tuple[Head
 def _planes_bare(path: Path, content: bytes) -> tuple[Head, list[U8], str]:
     """Versions 1 to 3 without the gzip around it, as splat-transform reads them too."""
     if len(content) < HEADER.size:
-        refuse(path, f"truncated: an SPZ header has {HEADER.size} bytes, the file {len(content)}")
+        refuse(path, f"truncated: SPZ header: expected {HEADER.size} bytes, got {len(content)}")
     head = _head(path, content, len(content))
     wanted = HEADER.size + sum(head.sizes) * head.count
     if len(content) != wanted:
@@ -325,7 +325,7 @@ def _split(head: Head, planes: U8) -> list[U8]:
 def _planes_zstd(path: Path, content: bytes, options: ReadOptions) -> tuple[Head, list[U8], str]:
     """Version 4."""
     if len(content) < HEADER_4:
-        refuse(path, f"truncated: an SPZ 4 header has {HEADER_4} bytes, the file {len(content)}")
+        refuse(path, f"truncated: SPZ 4 header: expected {HEADER_4} bytes, got {len(content)}")
     head = _head(path, content, len(content))
     flags, streams = content[14], content[15]
     (table,) = struct.unpack_from("<I", content, HEADER.size)
@@ -393,7 +393,7 @@ def _extensions(path: Path, records: bytes) -> Iterator[tuple[int, bytes]]:
             refuse(
                 path,
                 f"SPZ extension at byte {HEADER_4 + at} promises {size} bytes, "
-                f"{len(records) - at - 8} are left",
+                f"{len(records) - at - 8} are left; the file is damaged",
             )
         yield kind, records[at + 8 : at + 8 + size]
         at += 8 + size
