@@ -109,8 +109,8 @@ def havoc(rng: random.Random, content: bytes, words: list[bytes] = (), head: int
 
 
 def altered(rng: random.Random, value: object) -> object:
-    """JSON data with one to three values replaced, taken away, copied or multiplied."""
-    made = copy.deepcopy(value)
+    """``value``, JSON data, itself: one to three values replaced, taken away, copied, multiplied."""
+    made = value
     for _ in range(rng.choice((1, 1, 2, 3))):
         at = made
         for _ in range(32):
@@ -206,7 +206,7 @@ def ksplat(rng: random.Random, content: bytes) -> bytes:
             at = rng.choice((1, 4, 8, 12, 16, 20, 24, 36, 40))
         else:
             at = 4096 + 1024 * rng.randrange(sections) + rng.choice(fields)
-        width = 1 if at == 1 else 2 if at == 20 or at % 1024 in (20, 40) and at > 4096 else 4
+        width = 1 if at == 1 else 2 if at == 20 or (at % 1024 in (20, 40) and at > 4096) else 4
         if rng.random() < 0.4:
             value = int.from_bytes(made[at : at + width], "little") + rng.choice(
                 (-1, 1, 2, -2, 256)

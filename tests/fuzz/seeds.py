@@ -176,7 +176,7 @@ def lay_out(folder: Path, reader: str, content: bytes) -> Path:
     for old in inside.iterdir():
         old.unlink()
     for name, data in members(content[len(FOLDER) :]).items():
-        if re.fullmatch(r"[A-Za-z0-9_.%-]{1,40}", name) and name not in (".", ".."):
+        if re.fullmatch(r"[A-Za-z0-9_.%-]{1,40}", name) and name not in (".", "..", "link.webp"):
             (inside / name).write_bytes(data)
     (inside / "link.webp").symlink_to("../secret.webp")
     return inside

@@ -47,7 +47,9 @@ class ContractError(TsplatError, AssertionError):
 
 def printable(text: object, limit: int = 200) -> str:
     """Text of unknown origin, safe to show: no control characters, at most ``limit`` long."""
-    shown = "".join(c if c.isprintable() else "�" for c in str(text))
+    shown = str(text)
+    if not shown.isprintable():
+        shown = "".join(c if c.isprintable() else "�" for c in shown)
     return shown if len(shown) <= limit else shown[: limit - 1] + "…"
 
 

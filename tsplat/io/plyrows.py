@@ -154,7 +154,7 @@ def _check_size(path: Path, header: Header, size: int) -> None:
         if element.count and not element.properties:
             refuse(
                 path,
-                f"PLY element {element.name} has {element.count} rows of no properties; it is damaged",
+                f"PLY element {element.name} has {element.count} rows of no properties; damaged",
             )
         # a number in text is at least a digit and a space or line end
         promised += element.count * (2 * len(element.properties) if header.text else element.row)
