@@ -26,8 +26,9 @@ from tsplat.core.errors import SceneError
 
 SECONDS, SECONDS_A_MB = 1.0, 1.0
 ROOM, ROOM_A_BYTE = 64 << 20, 4
-DEAD = 120
-"""Seconds of wall time after which a load that waits for something is given up."""
+TICK, TICKS_MAX = 5, 24
+"""A load that waits for something is given up after so many ticks of a clock of so many seconds;
+a process that was stopped and goes on hears one."""
 
 LINE_MAX = 700
 TELLS = re.compile(
@@ -64,7 +65,8 @@ class Guard:
         sys.unraisablehook = lambda fault: self._complaints.append(repr(fault.exc_value))
         sys.addaudithook(self._audit)
         signal.signal(signal.SIGPROF, _late)
-        signal.signal(signal.SIGALRM, _late)
+        signal.signal(signal.SIGALRM, self._tick)
+        self._ticks = 0
 
     def arm(self) -> None:
         """From now on nothing new is imported, so that every file opened is a file named."""
@@ -83,6 +85,11 @@ class Guard:
         elif event.startswith(("os.system", "subprocess", "socket", "os.exec", "os.remove")):
             self._opened.append(event)
 
+    def _tick(self, signum: int, frame: object) -> None:
+        self._ticks += 1
+        if self._ticks >= TICKS_MAX:
+            raise _TooLong
+
     def load(self, path: Path, read, *, precisely: bool = False, **options) -> str:
         """The line that ``read`` refuses ``path`` with, or "" and a number of coefficients.
 
@@ -100,7 +107,8 @@ class Guard:
         elif self.limited:
             _limit(_mapped() + room + (2 << 20))
         signal.setitimer(signal.ITIMER_PROF, 3 * allowed + 1)
-        signal.setitimer(signal.ITIMER_REAL, DEAD + allowed)
+        self._ticks = 0
+        signal.setitimer(signal.ITIMER_REAL, TICK, TICK)
         started = time.process_time()
         scene = fault = None
         self._inside = True

@@ -63,7 +63,10 @@ class Bundle:
         if info.file_size > most:
             refuse(path, f"{place}: {shown} has {info.file_size} bytes, expected at most {most}")
         if info.flag_bits & ENCRYPTED or info.compress_type not in STORED_OR_DEFLATED:
-            refuse(path, f"{place}: {shown} is encrypted or packed in a way that is not read; unpack it")
+            refuse(
+                path,
+                f"{place}: {shown} is encrypted or packed in a way that is not read; unpack it",
+            )
         try:
             with self._archive.open(info) as stream:
                 content = stream.read(info.file_size + 1)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tsplat.core.errors import printable
 from tsplat.core.types import F16, F32, F64, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
-from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
+from tsplat.io.base import Read, Reader, ReadOptions, check_memory, refuse, refuse_raw_opacity
 from tsplat.io.fields import JSON_MAX, Field, parse
 from tsplat.io.gather import (
     UNPACKING,
@@ -192,7 +192,8 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
         images["shN_labels"] = harmonics.get("files").items(2)[1]
     counted = means.get("shape").items()[0] if old and _listed(means, "shape") else None
     counted = counted or meta.get("count")
-    count = check_count(path, counted.integer(0), measure(list(images.values())), counted.place)
+    size = measure(list(images.values()))
+    count = check_count(path, counted.integer(0), size, counted.place)
     most = 2 * count + SLACK
     if old:
         logs = [_linear(*span) for span in _spans(scales, 3)]
@@ -205,6 +206,7 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
     palette = None
     if harmonics is not None:
         palette = _palette(path, harmonics, fetch, old=old)
+    check_memory(path, count, 1 if palette is None else 1 + palette.shape[1], 4 * len(images), size)
     pixels: dict[str, U8] = {}
     for done, (key, name) in enumerate(images.items()):
         stretch(options, 0, UNPACKING).progress(done, len(images))
@@ -254,8 +256,12 @@ def _error(
         if palette is None or palette_16 is None:
             return worst
         peaks = np.array(SH_PEAKS[1 : 1 + palette.shape[1]])
-        off = np.abs(palette_16.astype(np.float64) - palette)
-        return worst + float(np.einsum("pkc,k->pc", off, peaks).max())
+        most = 0.0
+        for i in range(0, len(palette), PER_ROW * PER_ROW):  # float64 of all would be 70 MB
+            part = slice(i, i + PER_ROW * PER_ROW)
+            off = np.abs(palette_16[part].astype(np.float64) - palette[part])
+            most = float(np.maximum(most, np.einsum("pkc,k->pc", off, peaks).max()))  # NaN stays
+        return worst + most
 
 
 def _largest_label(labels: U8) -> int:
