@@ -117,9 +117,11 @@ class Guard:
         except SceneError as error:
             fault = error
         except _TooLong as error:
+            self._inside = False
             where = " < ".join(traceback.format_tb(error.__traceback__)[-3:])
             raise Finding("time", f"more than {3 * allowed + 1:.1f} s\n{where}") from None
         except BaseException as error:
+            self._inside = False
             if isinstance(error, KeyboardInterrupt | SystemExit):
                 raise
             raise Finding("exception", _innermost(error)) from error

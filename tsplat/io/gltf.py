@@ -311,7 +311,7 @@ def _opened(path: Path) -> _File:
 def _chunks(path: Path, content: bytes) -> tuple[bytes, memoryview | None]:
     """Of a GLB: its JSON and its binary chunk (glTF 2.0, 4.4)."""
     if len(content) < 20:
-        refuse(path, f"truncated: a GLB header has 20 bytes, the file {len(content)}")
+        refuse(path, f"truncated: GLB header: expected 20 bytes, got {len(content)}")
     version, length, size, kind = struct.unpack_from("<IIII", content, 4)
     if version != 2:
         refuse(path, f"GLB version {version} (byte 4), expected 2")
