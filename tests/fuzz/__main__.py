@@ -1,8 +1,8 @@
 """Loads damaged files without end, and keeps each that makes a reader do what it may not.
 
-python -m tests.fuzz spz --runs 100000                       # own mutations, by kind of refusal
-python -m tests.fuzz spz --runs 100000 --engine atheris      # guided by coverage; pip install atheris
-python -m tests.fuzz --report                                # what has been run
+python -m tests.fuzz spz --runs 100000                     # own mutations, by kind of refusal
+python -m tests.fuzz spz --runs 100000 --engine atheris    # guided by coverage: tsplat[fuzz]
+python -m tests.fuzz --report                              # what has been run
 
 Counts are kept in ``--state`` and go on from there; ``--total`` runs until there are as many.
 """
@@ -202,19 +202,17 @@ def run_atheris(session: Session, runs: int, seconds: float) -> None:
 
 
 def report(state: Path) -> None:
-    """Executions, scenes, findings and CPU time by reader and engine."""
-    print(
-        f"{'reader':<16}{'engine':<10}{'executions':>11}{'scenes':>9}{'refusals':>9}{'cpu s':>8}  findings"
-    )
+    """Executions, scenes, kinds of refusal, CPU time and findings by reader and engine."""
+    row = "{:<16}{:<10}{:>11}{:>9}{:>9}{:>8}  {}"
+    print(row.format("reader", "engine", "executions", "scenes", "refusals", "cpu s", "findings"))
     for file in sorted(state.glob("*.json")):
         c = json.loads(file.read_text())
         reader, _, engine = file.stem.rpartition("-")
-        kinds = sum(not k.startswith(" ") for k in c.get("lines", {}))
-        print(
-            f"{reader:<16}{engine:<10}{c['executions']:>11}{c['scenes']:>9}{kinds:>9}{c['cpu']:>8.0f}  {len(c['findings'])}"
-        )
+        kinds = sum(not kind.startswith(" ") for kind in c.get("lines", {}))
+        numbers = c["executions"], c["scenes"], kinds, round(c["cpu"]), len(c["findings"])
+        print(row.format(reader, engine, *numbers))
         for name, count in c["findings"].items():
-            print(f"    {count:>6} x {' '.join(name.split())}")
+            print(f"    {count:>6} x {name}")
 
 
 def main() -> None:

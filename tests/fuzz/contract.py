@@ -60,6 +60,7 @@ class Guard:
         self._opened: list[str] = []
         self._armed = self._inside = False
         self._complaints: list[str] = []
+        self._free = _lowest_descriptor()
         self.limited = _mapped() < 1 << 40  # a sanitizer maps terabytes of shadow
         warnings.simplefilter("error")
         sys.unraisablehook = lambda fault: self._complaints.append(repr(fault.exc_value))
