@@ -2,7 +2,9 @@
 
 python -m tests.fuzz spz --runs 100000                     # own mutations, by kind of refusal
 python -m tests.fuzz spz --runs 100000 --engine atheris    # guided by coverage: tsplat[fuzz]
+python -m tests.fuzz spz --again                           # what was found, loaded once more
 python -m tests.fuzz --report                              # what has been run
+python -m tests.fuzz --table                               # the same for docs/fuzzing.md
 
 Counts are kept in ``--state`` and go on from there; ``--total`` runs until there are as many.
 """
@@ -10,6 +12,7 @@ Counts are kept in ``--state`` and go on from there; ``--total`` runs until ther
 from __future__ import annotations
 
 import argparse
+import ast
 import hashlib
 import json
 import os
@@ -92,16 +95,20 @@ class Session:
         made.write_text(json.dumps(self.counts, indent=1))
         made.replace(self._file)
 
+    def load(self, content: bytes, options: dict, *, precisely: bool = False) -> str:
+        """See :meth:`tests.fuzz.contract.Guard.load`."""
+        path = self._lay_out(self._folder / "case", self.reader, content)
+        return self._guard.load(path, self._read, precisely=precisely, **options)
+
     def execute(self, content: bytes, options: dict) -> bool:
         """Whether what it did was seen for the first time."""
         from tests.fuzz.contract import Finding
 
         counts = self.counts
         counts["executions"] += 1
-        path = self._lay_out(self._folder / "case", self.reader, content)
         precisely = counts["executions"] % PRECISE == 0
         try:
-            line = self._guard.load(path, self._read, precisely=precisely, **options)
+            line = self.load(content, options, precisely=precisely)
         except Finding as finding:
             self._keep(finding, content, options)
             return False
@@ -215,6 +222,32 @@ def report(state: Path) -> None:
             print(f"    {count:>6} x {name}")
 
 
+def table(state: Path) -> None:
+    """Rows of docs/fuzzing.md: executions by engine, scenes, kinds of refusal, kept findings."""
+    from tests.fuzz.seeds import READERS
+
+    for reader in READERS:
+        files = [state / f"{reader}-{engine}.json" for engine in ("random", "atheris")]
+        both = [json.loads(f.read_text()) if f.is_file() else {"executions": 0} for f in files]
+        runs = [c["executions"] for c in both]
+        scenes = sum(c.get("scenes", 0) for c in both)
+        kinds = {k for c in both for k in c.get("lines", {}) if not k.startswith(" ")}
+        cells = [*runs, sum(runs), scenes, len(kinds)]
+        print(f"| `{reader}` | " + " | ".join(f"{c:,}" for c in cells) + " |")
+
+
+def again(session: Session) -> None:
+    """Loads what was found of the reader, and says of each whether it still is a finding."""
+    from tests.fuzz.contract import Finding
+
+    for file in sorted((session.state / "findings" / session.reader).glob("*.bin")):
+        options = ast.literal_eval(file.with_suffix(".txt").read_text().splitlines()[0])
+        try:
+            print(f"{file.stem}: mended: {session.load(file.read_bytes(), options)[:120]}")
+        except Finding as finding:
+            print(f"{file.stem}: {finding}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("reader", nargs="?")
@@ -225,7 +258,12 @@ def main() -> None:
     parser.add_argument("--state", type=Path, default=ROOT / ".fuzz")
     parser.add_argument("--data", type=Path, default=None, help="a folder of real files")
     parser.add_argument("--report", action="store_true")
+    parser.add_argument("--table", action="store_true")
+    parser.add_argument("--again", action="store_true")
     args = parser.parse_args()
+    if args.table:
+        table(args.state)
+        return
     if args.report or args.reader is None:
         report(args.state)
         return
@@ -237,6 +275,10 @@ def main() -> None:
 
             plugins()
     session = Session(args.reader, args.engine, args.state, args.data)
+    if args.again:
+        again(session)
+        session.close()
+        return
     runs = args.runs
     if args.total is not None:
         runs = args.total - session.counts["executions"]
