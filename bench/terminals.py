@@ -44,7 +44,6 @@ from tsplat.presenters.enlarge import averaged
 from tsplat.terminal import device
 from tsplat.terminal.screen import (
     BEGIN_UPDATE,
-    CLEAR,
     END_UPDATE,
     HIDE_CURSOR,
     HOME,
@@ -95,7 +94,7 @@ def ours(presenter: Presenter, frames: list[Frame], terminal: Terminal) -> dict[
     taken = show(BEGIN_UPDATE + HOME + stays + END_UPDATE)
     same, unchanged = timed(presenter.encode, before, terminal, before)
     assert not same, "a frame that has not changed takes no bytes"
-    os.write(1, presenter.clear(terminal) + CLEAR)
+    os.write(1, presenter.clear(terminal) + device.cleared(terminal))
     return {
         "encode": 1e3 * statistics.median(encode[1:]),
         "terminal": 1e3 * statistics.median(link[1:]),
@@ -106,7 +105,9 @@ def ours(presenter: Presenter, frames: list[Frame], terminal: Terminal) -> dict[
     }
 
 
-def theirs(encode: Callable[[Frame], tuple[bytes, float]], frames: list[Frame]) -> dict[str, float]:
+def theirs(
+    encode: Callable[[Frame], tuple[bytes, float]], frames: list[Frame], terminal: Terminal
+) -> dict[str, float]:
     """The same of another; it sends a still frame again, so that is no other."""
     times, link, sent = [], [], []
     for frame in frames:
@@ -114,7 +115,7 @@ def theirs(encode: Callable[[Frame], tuple[bytes, float]], frames: list[Frame]) 
         times.append(seconds)
         sent.append(len(data))
         link.append(show(BEGIN_UPDATE + HOME + data + END_UPDATE))
-    os.write(1, CLEAR)
+    os.write(1, device.cleared(terminal))
     return {
         "encode": 1e3 * statistics.median(times),
         "terminal": 1e3 * statistics.median(link),
@@ -186,7 +187,7 @@ def measure(file: Path) -> None:
         frames = make_frames(*terminal.pixels, FRAMES)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         for name, encode in peers(terminal, folder):
-            rows[name] = theirs(encode, frames)
+            rows[name] = theirs(encode, frames, terminal)
     kept = json.loads(file.read_text()) if file.exists() else {}
     size = "{}x{} px".format(*terminal.pixels)
     kept[found.name or os.environ.get("TERM", "unknown")] = {"size": size, "rows": rows}

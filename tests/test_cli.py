@@ -239,6 +239,67 @@ def test_info_names_the_format(smooth, ply):
     assert (facts["format"], facts["antialias"]) == ("ply", None)
 
 
+def test_up_is_known_or_said(ply, tmp_path):
+    """From a comment, from cameras beside the file, or not at all; --up and --flip-y overrule."""
+
+    def known(path):
+        return json.loads(tsplat("info", path, "--json").stdout)["up"]
+
+    def picture(path, *words):
+        out = tmp_path / "out.npy"
+        tsplat("render", path, *words, "-o", out, "--size", "64x48")
+        return np.load(out)
+
+    content = ply.read_bytes()  # beside other cameras
+    ply = tmp_path / "plain.ply"
+    ply.write_bytes(content)
+    assert known(ply)["direction"] == [0, -1, 0]
+    assert "COLMAP" in known(ply)["why"]
+    said = tmp_path / "said.ply"
+    words = b"\ncomment Vertical Axis: z\nelement"
+    said.write_bytes(content.replace(b"\nelement", words, 1))
+    assert known(said) == {"direction": [0, 0, 1], "why": "the file says: Vertical axis: z"}
+    np.testing.assert_array_equal(picture(said), picture(ply, "--up", "z"))
+    np.testing.assert_array_equal(picture(ply, "--flip-y"), picture(ply, "--up", "0,1,0"))
+    np.testing.assert_array_equal(picture(said, "--flip-y"), picture(ply, "--up", "-z"))
+    assert np.abs(picture(ply) - picture(said)).max() > 0.1
+    beside = tmp_path / "a.ply"
+    beside.write_bytes(content)
+    placed = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
+    frames = {"w": 9, "h": 9, "fl_x": 9, "frames": [{"transform_matrix": placed}]}
+    (tmp_path / "transforms.json").write_text(json.dumps(frames))
+    assert known(beside)["direction"] == [0, 1, 0]
+    assert known(said)["direction"] == [0, 0, 1]
+    np.testing.assert_array_equal(picture(beside, "--up=-y"), picture(beside, "--flip-y"))
+    (tmp_path / "transforms.json").write_text("{")
+    assert known(beside)["direction"] == [0, -1, 0]
+    told = tsplat("render", ply, "--up", "z", "--flip-y", "-o", "x.png", code=1)
+    assert b"leave one out" in told.stderr
+    told = tsplat("render", ply, "--up", "up", "-o", "x.png", code=2)
+    assert b"expected x, -x, y, -y, z, -z or three numbers" in told.stderr
+
+
+def test_filters_are_of_every_command(ply, tmp_path):
+    """info counts what they leave out; render draws the rest; check and bench take the rest."""
+    words = ("--min-opacity", "0.4", "--max-scale", "0.2", "--trim", "2")
+    facts = json.loads(tsplat("info", ply, "--json", *words).stdout)
+    assert facts["gaussians"] + sum(facts["dropped"].values()) == 300
+    assert set(facts["dropped"]) == {
+        "below --min-opacity 0.4", "above --max-scale 0.2", "outside --trim 2",
+    }  # fmt: skip
+    made = json.loads(
+        tsplat("render", ply, *words, "-o", tmp_path / "a.png", "--size", "40x30", "--json").stdout
+    )
+    assert made["gaussians"] == facts["gaussians"]
+    table = json.loads(
+        tsplat("check", ply, *words, "--backend", "cffi", "--size", "40x30", "--json").stdout
+    )
+    assert table["gaussians"] == facts["gaussians"]
+    for command in (("render", ply, "-o", tmp_path / "a.png"), ("check", ply), ("bench", ply)):
+        told = tsplat(*command, "--max-scale", "1e-9", code=1)
+        assert b"nothing is left of 300 Gaussians (max_scale=1e-09); filter less" in told.stderr
+
+
 def test_info_says_where_rows_lie(scene):
     """A scene whose rows were moved is said to lie along the curve; numbers take memory too."""
     moved = replace(scene, numbers=np.arange(len(scene), dtype=np.int32))

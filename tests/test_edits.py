@@ -9,10 +9,10 @@ import pytest
 
 from tsplat.core import reference
 from tsplat.core.camera import look_at
-from tsplat.core.errors import ParamsError
+from tsplat.core.errors import ParamsError, SceneError
 from tsplat.core.params import RenderParams
 from tsplat.core.workspace import Workspace
-from tsplat.edits import LUMA, NOTHING, Box, Edits, edited
+from tsplat.edits import LUMA, NOTHING, Box, Edits, edited, filtered
 from tsplat.plan import make_plan
 from tsplat.testing.strategies import make_scene
 
@@ -106,10 +106,55 @@ def test_colours_that_are_off_stay_within_what_is_said(scene):
 
 
 @pytest.mark.parametrize(
+    "edits",
+    [
+        Edits(min_opacity=0.5), Edits(max_scale=0.2), Edits(trim=10.0),
+        Edits(crop=Box((99.0, -1.0, -51.0), (101.0, 1.0, -49.0))),
+        Edits(min_opacity=0.3, max_scale=0.4, trim=1.0, splat_scale=2.0, saturation=0.5),
+    ],
+    ids=lambda edits: edits.text(),
+)  # fmt: skip
+def test_filtered_is_edited_without_the_rest(scene, edits):
+    """The same picture to the bit, of the rows that are drawn alone; the others are counted."""
+    made, kept = edited(scene, edits), filtered(scene, edits)
+    np.testing.assert_array_equal(picture(made), picture(kept))
+    assert 0 < len(kept) < len(scene)
+    assert len(kept) == ((made.opacities > 0) | (scene.opacities == 0)).sum()
+    assert sum(kept.dropped.values()) - sum(scene.dropped.values()) == len(scene) - len(kept)
+
+
+def test_large_ones_and_strays_are_left_out(scene):
+    """max_scale looks at the largest of three sizes, trim at each axis from both ends."""
+    largest = scene.scales.max(axis=1)
+    most = float(np.median(largest))
+    drawn = edited(scene, Edits(max_scale=most)).opacities > 0
+    assert (drawn == ((largest <= np.float32(most)) & (scene.opacities > 0))).all()
+    drawn = edited(scene, Edits(trim=5.0)).opacities > 0
+    low, high = np.percentile(scene.means, (5, 95), axis=0)
+    within = ((scene.means >= low) & (scene.means <= high)).all(axis=1)
+    assert (drawn == (within & (scene.opacities > 0))).all()
+    assert 0.6 * len(scene) < within.sum() < 0.9 * len(scene)
+
+
+def test_one_stray_is_trimmed(scene):
+    """One Gaussian at 2e7 goes with the least trim, and the box of the rest is that of the rest."""
+    means = scene.means.copy()
+    means[7] = 2e7
+    kept = filtered(replace(scene, means=means), Edits(trim=0.5))
+    assert np.abs(kept.means).max() < 100
+
+
+def test_nothing_left_is_said(scene):
+    """An empty scene is an error that names the edits."""
+    with pytest.raises(SceneError, match=r"nothing is left of 300 Gaussians \(max_scale=1e-30\)"):
+        filtered(scene, Edits(max_scale=1e-30))
+
+
+@pytest.mark.parametrize(
     "wrong",
     [
         {"splat_scale": -1.0}, {"splat_scale": float("nan")}, {"saturation": 11.0},
-        {"min_opacity": 1.5},
+        {"min_opacity": 1.5}, {"max_scale": -1.0}, {"max_scale": float("nan")}, {"trim": 50.0},
     ],
 )  # fmt: skip
 def test_what_cannot_be(wrong):

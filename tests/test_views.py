@@ -11,11 +11,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.conftest import DATA
-from tsplat.core.camera import Camera
+from tsplat.core.camera import Camera, look_at
 from tsplat.core.errors import CameraError
-from tsplat.core.types import Scene
+from tsplat.core.types import Scene, Up
 from tsplat.io import load_scene, scene_from_arrays
-from tsplat.views import FOV, UP, YAW, clip_planes, frame_orbit, frame_scene, scene_extent
+from tsplat.views import (
+    FOV,
+    UP,
+    YAW,
+    clip_planes,
+    frame_orbit,
+    frame_scene,
+    scene_extent,
+    up_of,
+    up_of_cameras,
+)
 
 
 def scene_of(points, opacities=1.0, scale=1e-3, origin=(0, 0, 0)) -> Scene:
@@ -136,12 +146,39 @@ def test_origin_is_part_of_the_place():
 def test_up_is_up_and_default_is_minus_y():
     """What is farther along up is higher in the picture, whatever up is."""
     points = ball(200)
-    for up in (UP, (0, 1, 0), (0, 0, 1), (3, -4, 5)):
+    for up in (UP.direction, (0, 1, 0), (0, 0, 1), (3, -4, 5)):
         scene = scene_of(points)
         camera = frame_scene(scene, 64, 64, up=up)
         axis = np.array(up) / np.linalg.norm(up)
         assert (camera.rotation @ axis)[1] < -0.9
     assert (frame_scene(scene_of(points), 64, 64).rotation @ [0, 1, 0])[1] > 0.9
+
+
+def test_up_is_what_the_file_says():
+    """What a scene says is up is up in its picture, unless another is asked for."""
+    scene = replace(scene_of(ball(200)), up=Up((0.0, 0.0, 1.0), "the file says"))
+    assert (frame_scene(scene, 64, 64).rotation @ [0, 0, 1])[1] < -0.9
+    assert (frame_scene(scene, 64, 64, up=(1, 0, 0)).rotation @ [1, 0, 0])[1] < -0.9
+    assert up_of(scene).direction == (0, 0, 1)
+    assert up_of(scene_of(ball(200))) == UP
+
+
+def test_up_of_cameras_is_their_mean():
+    """Cameras round a tilted scene that look down at it: what is up in all of them is up."""
+    up = np.array([0.3, -0.2, 0.9]) / np.linalg.norm([0.3, -0.2, 0.9])
+    side = np.cross(up, [1, 0, 0])
+    side /= np.linalg.norm(side)
+    other = np.cross(up, side)
+    turns = np.linspace(0, 2 * math.pi, 12, endpoint=False)
+    cameras = [
+        look_at(3 * (math.cos(t) * side + math.sin(t) * other + 0.6 * up), (0, 0, 0), up, 60, 9, 9)
+        for t in turns
+    ]
+    found = up_of_cameras(cameras, "a.json")
+    np.testing.assert_allclose(found.direction, up, atol=1e-6)
+    assert found.why == "upwards in the 12 pictures of a.json"
+    around = [look_at((0, 0, 0), (0, 0, 1), (math.cos(t), math.sin(t), 0), 60, 9, 9) for t in turns]
+    assert up_of_cameras(around, "a.json") is None
 
 
 @pytest.mark.parametrize("begin", [YAW, math.pi / 2])

@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from tsplat.core.workspace import Workspace
     from tsplat.demo import demo_scene
     from tsplat.hookspecs import hookimpl
-    from tsplat.io import load_cameras, load_scene, save_image, scene_from_arrays
+    from tsplat.io import load_cameras, load_scene, save_image, save_scene, scene_from_arrays
     from tsplat.io.base import Reader, ReadOptions
+    from tsplat.io.write.base import WriteOptions, Writer, Written
     from tsplat.plan import Plan, make_plan, render
     from tsplat.presenters.base import Presenter, Terminal
     from tsplat.views import frame_scene
@@ -43,8 +44,15 @@ _HOMES = {
     "tsplat.core.workspace": ("Workspace",),
     "tsplat.demo": ("demo_scene",),
     "tsplat.hookspecs": ("hookimpl",),
-    "tsplat.io": ("load_cameras", "load_scene", "save_image", "scene_from_arrays"),
+    "tsplat.io": (
+        "load_cameras",
+        "load_scene",
+        "save_image",
+        "save_scene",
+        "scene_from_arrays",
+    ),
     "tsplat.io.base": ("ReadOptions", "Reader"),
+    "tsplat.io.write.base": ("WriteOptions", "Writer", "Written"),
     "tsplat.plan": ("Plan", "make_plan", "render"),
     "tsplat.presenters.base": ("Presenter", "Terminal"),
     "tsplat.views": ("frame_scene",),
@@ -71,6 +79,9 @@ __all__ = [
     "Terminal",
     "TsplatError",
     "Workspace",
+    "WriteOptions",
+    "Writer",
+    "Written",
     "__version__",
     "break_ties",
     "demo_scene",
@@ -82,6 +93,7 @@ __all__ = [
     "make_plan",
     "render",
     "save_image",
+    "save_scene",
     "scene_from_arrays",
 ]
 

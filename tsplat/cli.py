@@ -20,7 +20,7 @@ from typing import TextIO
 from tsplat._version import __version__
 from tsplat.core.errors import TsplatError, printable
 
-COMMANDS = ("view", "cat", "render", "info", "plugins", "check", "bench")
+COMMANDS = ("view", "cat", "render", "convert", "info", "plugins", "check", "bench")
 SHELLS = ("bash", "zsh", "tcsh")
 VECTORS = ("--eye", "--target", "--up", "--background", "--crop")
 
@@ -31,8 +31,9 @@ DESCRIPTION = """\
   tsplat                                 look at the built-in demo scene
   tsplat cat scene.ply                   a picture among the text of this terminal
   tsplat render scene.ply -o out.png     make a picture, no terminal needed
+  tsplat convert scene.ply scene.spz     write a scene in another format
   tsplat info scene.ply                  what is in a file
-  tsplat plugins                         backends, presenters and readers that are installed
+  tsplat plugins                         backends, presenters, readers and writers
   tsplat check scene.ply                 prove every backend right on a scene
   tsplat bench scene.ply                 what each shortcut costs and saves on a scene
 """
@@ -79,10 +80,25 @@ A path is a list of cameras, ours or INRIA's, each with a "time" in seconds or n
 passes through all of them smoothly. "orbit" turns the view that the camera options give once round
 the scene.
 """
+CONVERT_EXAMPLES = """\
+examples:
+  tsplat convert scene.ply scene.spz
+  tsplat convert scene.ply scene.compressed.ply --sh-degree 1
+  tsplat convert scene.spz scene.ply --json | jq .pictures.psnr_worst
+  tsplat convert scene.ply small.splat --crop -2,-2,-2,2,2,2 --min-opacity 0.02
+  tsplat convert scene.ply scene.spz --format-version 2 --fractional-bits 14 --sh-bits 8
+  tsplat convert headlong.spz upright.ply --flip-y
+  tsplat convert scene.sog out.bin --to ply --force --no-measure
+
+The suffix says which format: .ply (INRIA's), .compressed.ply (PlayCanvas'), .splat
+(antimatter15's), .spz (Niantic's); `tsplat plugins` lists more. The file is read back: how far
+each field is off is said, and how far pictures from standard views are.
+"""
 INFO_EXAMPLES = """\
 examples:
   tsplat info scene.ply
   tsplat info scene.ply --json | jq .gaussians
+  tsplat info scene.ply --trim 1 --min-opacity 0.02    what these would leave out
 """
 PLUGINS_EXAMPLES = """\
 examples:
@@ -139,6 +155,19 @@ def _vector(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
+def _up(text: str) -> tuple[float, float, float]:
+    axis = re.fullmatch(r"([-+]?)([xyz])", text.lower())
+    if axis:
+        sign = -1.0 if axis[1] == "-" else 1.0
+        x, y, z = (sign * (name == axis[2]) + 0.0 for name in "xyz")
+        return x, y, z
+    if re.fullmatch(r"[a-zA-Z]+", text):
+        raise argparse.ArgumentTypeError(
+            f"expected x, -x, y, -y, z, -z or three numbers such as 0,-1,0, got {text!r}"
+        )
+    return _vector(text)
+
+
 def _color(text: str) -> tuple[float, float, float] | None:
     if text == "none":
         return None
@@ -177,6 +206,10 @@ def _share(text: str) -> float:
     return _number(text, lambda value: 0 <= value <= 1, "0 to 1")
 
 
+def _percentile(text: str) -> float:
+    return _number(text, lambda value: 0 <= value <= 49, "a percentile from 0 to 49")
+
+
 def _factor(text: str) -> float:
     return _number(text, lambda value: 0 <= value <= 10, "a number from 0 to 10")
 
@@ -200,6 +233,17 @@ def _bits(text: str) -> float:
     return rate
 
 
+def _sh_bits(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([1-8])(?:,([1-8]))?", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"expected 1 to 8, or two of these as 5,4, got {text!r}")
+    return int(match[1]), int(match[2] or match[1])
+
+
+def _fraction(text: str) -> int:
+    return int(_number(text, lambda v: v in range(24), "a whole number from 0 to 23"))
+
+
 def _threads(text: str) -> int:
     value = _count(text)
     if value > 256:
@@ -214,6 +258,13 @@ def _add_scene(parser: argparse.ArgumentParser, optional: bool = True, many: boo
         nargs="*" if many else "?" if optional else None,
         help="a splat file" + ("; the built-in demo scene if left out" if optional else ""),
     )
+    _add_reading(parser).add_argument(
+        "--sh-float32", action="store_true",
+        help="keep colours in float32 even where float16 moves none by 1/4 of an 8-bit level",
+    )  # fmt: skip
+
+
+def _add_reading(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     reading = parser.add_argument_group("reading")
     reading.add_argument(
         "--max-splats", type=_count, metavar="N", help="keep N Gaussians, an even sample"
@@ -221,10 +272,7 @@ def _add_scene(parser: argparse.ArgumentParser, optional: bool = True, many: boo
     reading.add_argument(
         "--raw-opacity", action="store_true", help="the file's opacities are 0..1, not logits"
     )
-    reading.add_argument(
-        "--sh-float32", action="store_true",
-        help="keep colours in float32 even where float16 moves none by 1/4 of an 8-bit level",
-    )  # fmt: skip
+    return reading
 
 
 def _add_antialias(parser: argparse._ActionsContainer, text: str) -> None:
@@ -276,8 +324,14 @@ def _add_pose(parser: argparse.ArgumentParser) -> None:
         "--target", type=_vector, metavar="X,Y,Z", help="what it looks at (the scene's middle)"
     )
     pose.add_argument(
-        "--up", type=_vector, metavar="X,Y,Z", help="the world's up direction (0,-1,0)"
-    )
+        "--up", type=_up, metavar="AXIS",
+        help="which way is up: x, -x, y, -y, z, -z or X,Y,Z (what is known of the file: `tsplat "
+        "info`; -y if nothing is)",
+    )  # fmt: skip
+    pose.add_argument(
+        "--flip-y", action="store_true", help="up is the other way: for scenes that stand on "
+        "their head"
+    )  # fmt: skip
     pose.add_argument(
         "--fov", type=_positive, metavar="DEG", help="vertical field of view, degrees (50)"
     )
@@ -285,14 +339,24 @@ def _add_pose(parser: argparse.ArgumentParser) -> None:
     pose.add_argument("--far", type=_positive, metavar="Z", help="nothing farther is drawn")
 
 
-def _add_edits(parser: argparse.ArgumentParser) -> None:
-    edits = parser.add_argument_group("edits", "the scene is drawn as if its file had been so")
+def _add_edits(
+    parser: argparse.ArgumentParser, text: str = "the scene is as if its file had been so"
+) -> None:
+    edits = parser.add_argument_group("edits", text)
     edits.add_argument(
         "--splat-scale", type=_positive, default=1.0, metavar="F", help="times as large splats (1)"
     )
     edits.add_argument(
         "--min-opacity", type=_share, default=0.0, metavar="O",
         help="leave out Gaussians of less opacity, 0 to 1 (0)",
+    )  # fmt: skip
+    edits.add_argument(
+        "--max-scale", type=_positive, metavar="S",
+        help="leave out Gaussians with a standard deviation above S world units",
+    )  # fmt: skip
+    edits.add_argument(
+        "--trim", type=_percentile, default=0.0, metavar="P",
+        help="leave out strays: before the percentile P of x, y or z, or behind 100 - P (0)",
     )  # fmt: skip
     edits.add_argument(
         "--saturation", type=_factor, default=1.0, metavar="F", help="of all colours; 0 is grey (1)"
@@ -429,16 +493,61 @@ def make_parser() -> argparse.ArgumentParser:
     )
     render.add_argument("--json", action="store_true", help="print facts and timings as JSON")
 
+    convert = add("convert", "write a scene in another format", CONVERT_EXAMPLES)
+    convert.add_argument("scene", metavar="IN", help="a splat file")
+    convert.add_argument("output", metavar="OUT", help=".ply .compressed.ply .splat .spz")
+    convert.set_defaults(sh_float32=True)
+    convert.add_argument(
+        "--to", metavar="NAME", help="a writer of `tsplat plugins`, whatever the suffix"
+    )
+    convert.add_argument("--force", action="store_true", help="replace OUT if it is there")
+    convert.add_argument(
+        "--sh-degree", type=int, choices=range(4), metavar="D",
+        help="leave out harmonics above degree D, 0 to 3",
+    )  # fmt: skip
+    convert.add_argument("--json", action="store_true", help="print the summary as JSON")
+    spz = convert.add_argument_group("SPZ")
+    spz.add_argument(
+        "--format-version", type=_count, metavar="V", help="2, 3 (default) or 4 (zstd)"
+    )
+    spz.add_argument(
+        "--fractional-bits", type=_fraction, metavar="N",
+        help="of positions, 0 to 23 (12; more for small Gaussians, fewer for far ones)",
+    )  # fmt: skip
+    spz.add_argument(
+        "--sh-bits", type=_sh_bits, metavar="B[,B]",
+        help="of harmonics of degree 1, and of higher ones, 1 to 8 (5,4)",
+    )  # fmt: skip
+    _add_reading(convert)
+    convert.add_argument(
+        "--flip-y", action="store_true",
+        help="turn the scene by 180 degrees about x, if it stands on its head",
+    )  # fmt: skip
+    _add_edits(convert, "what they cut is left out of the file")
+    measuring = convert.add_argument_group("measuring")
+    measuring.add_argument(
+        "--no-measure", action="store_true", help="do not read the file back and compare"
+    )
+    measuring.add_argument("--size", type=_pair, metavar="WxH", help="of pictures, px (480x270)")
+    measuring.add_argument(
+        "--cameras", metavar="FILE",
+        help="more cameras to compare from (cameras.json beside the scene or above it)",
+    )  # fmt: skip
+    measuring.add_argument("--backend", default="auto", metavar="B", help="what draws (auto)")
+    measuring.add_argument("--threads", type=_threads, metavar="N", help="default: every CPU")
+
     info = add("info", "say what is in a scene file", INFO_EXAMPLES)
     _add_scene(info, optional=False)
+    _add_edits(info)
     info.add_argument("--json", action="store_true", help="print it as JSON")
 
-    plugins = add("plugins", "list backends, presenters and readers", PLUGINS_EXAMPLES)
+    plugins = add("plugins", "list backends, presenters, readers and writers", PLUGINS_EXAMPLES)
     _add_terminal(plugins)
     plugins.add_argument("--json", action="store_true", help="print it as JSON")
 
     check = add("check", "compare every backend with the reference", CHECK_EXAMPLES)
     _add_scene(check)
+    _add_edits(check)
     check.add_argument("--backend", metavar="B", help="only this one (default: all available)")
     check.add_argument(
         "--size",
@@ -474,6 +583,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     bench = add("bench", "measure what each shortcut costs and saves", BENCH_EXAMPLES)
     _add_scene(bench)
+    _add_edits(bench)
     bench.add_argument("--backend", metavar="B[,B]", help="default: all but the reference")
     bench.add_argument("--size", type=_pair, metavar="WxH", help="px (320x180)")
     bench.add_argument(
@@ -507,7 +617,7 @@ def _arranged(argv: Sequence[str], parser: argparse.ArgumentParser) -> list[str]
         value = next(words, None) if word in VECTORS else None
         if value is None:
             out.append(word)
-        elif re.match(r"-[0-9.]", value):
+        elif re.match(r"-([0-9.]|[xyzXYZ]$)", value):
             out.append(f"{word}={value}")
         else:
             out += [word, value]

@@ -11,9 +11,11 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from tsplat.core.errors import ParamsError
+from tsplat.core.errors import ParamsError, SceneError
 from tsplat.core.types import F32, F64, Scene
 from tsplat.io.clean import SH_MAX
+
+Bools = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 """Shares of red, green and blue in what is seen as brightness (ITU-R BT.709-6, item 3.2)."""
@@ -34,6 +36,12 @@ class Box:
                 raise ParamsError(f"crop: expected {axis} from low to high, got {low} to {high}")
 
 
+LIMITS = {
+    "splat_scale": 100.0, "saturation": 10.0, "min_opacity": 1.0, "max_scale": 1e38, "trim": 49.0,
+}  # fmt: skip
+"""The largest value of each number."""
+
+
 @dataclass(frozen=True)
 class Edits:
     """What is changed; the defaults change nothing.
@@ -44,14 +52,16 @@ class Edits:
 
     splat_scale: float = 1.0  # times every Gaussian's standard deviations
     min_opacity: float = 0.0  # Gaussians of less opacity are not drawn
+    max_scale: float | None = None  # nor those with a larger standard deviation, world units
+    trim: float = 0.0  # nor those before this percentile of x, y or z, or as far behind
     saturation: float = 1.0  # of all colours; 0 is grey
     raw_opacity: bool = False  # the file's opacities were 0..1 and not logits after all
     crop: Box | None = None  # Gaussians whose mean is outside are not drawn
 
     def __post_init__(self) -> None:
-        for name, most in (("splat_scale", 100.0), ("saturation", 10.0), ("min_opacity", 1.0)):
+        for name, most in LIMITS.items():
             value = getattr(self, name)
-            if not 0 <= value <= most:
+            if value is not None and not 0 <= value <= most:
                 raise ParamsError(f"{name}: expected 0 to {most:g}, got {value}")
 
     def text(self) -> str:
@@ -78,14 +88,10 @@ def edited(scene: Scene, edits: Edits) -> Scene:
     """
     if edits == NOTHING:
         return scene
-    opacities = scene.opacities
-    if edits.raw_opacity:
-        opacities = _logits(opacities)
+    opacities = _logits(scene.opacities) if edits.raw_opacity else scene.opacities
     drawn = np.ones(len(scene), bool)
-    if edits.min_opacity > 0:
-        drawn &= opacities >= np.float32(edits.min_opacity)
-    if edits.crop is not None:
-        drawn &= _inside(scene, edits.crop)
+    for keeps in _keeps(scene, opacities, edits).values():
+        drawn &= keeps
     scales = scene.scales
     if edits.splat_scale != 1:
         with np.errstate(over="ignore"):
@@ -98,6 +104,62 @@ def edited(scene: Scene, edits: Edits) -> Scene:
     return made if edits.saturation == 1 else _saturated(made, edits.saturation)
 
 
+def filtered(scene: Scene, edits: Edits) -> Scene:
+    """The picture of :func:`edited`, of a scene that has no rows that are not drawn.
+
+    ``Scene.dropped`` says how many each edit leaves out; of those that several do, the first.
+
+    Raises:
+        SceneError: nothing is left.
+    """
+    made = edited(scene, edits)
+    left = np.ones(len(scene), bool)
+    dropped = dict(scene.dropped)
+    opacities = _logits(scene.opacities) if edits.raw_opacity else scene.opacities
+    for reason, keeps in _keeps(scene, opacities, edits).items():
+        dropped[reason] = int((left & ~keeps).sum())
+        left &= keeps
+    if left.all():
+        return made
+    if not left.any():
+        raise SceneError(
+            f"{scene.name}: nothing is left of {len(scene)} Gaussians ({edits.text()}); filter less"
+        )
+    return replace(made.take(left), dropped={why: n for why, n in dropped.items() if n})
+
+
+def keeps(scene: Scene, edits: Edits) -> dict[str, Bools]:
+    """[N] which Gaussians each edit leaves in, by why it leaves out the others."""
+    opacities = _logits(scene.opacities) if edits.raw_opacity else scene.opacities
+    return _keeps(scene, opacities, edits)
+
+
+def _keeps(scene: Scene, opacities: F32, edits: Edits) -> dict[str, Bools]:
+    keeps: dict[str, Bools] = {}
+    if edits.crop is not None:
+        keeps["outside --crop"] = _inside(scene, edits.crop)
+    if edits.trim > 0:
+        keeps[f"outside --trim {edits.trim:g}"] = _within(scene, edits.trim)
+    if edits.max_scale is not None:
+        keeps[f"above --max-scale {edits.max_scale:g}"] = scene.scales.max(
+            axis=1, initial=0
+        ) <= np.float32(edits.max_scale)
+    if edits.min_opacity > 0:
+        keeps[f"below --min-opacity {edits.min_opacity:g}"] = opacities >= np.float32(
+            edits.min_opacity
+        )
+    return keeps
+
+
+def _within(scene: Scene, trim: float) -> Bools:
+    """Means between the percentiles ``trim`` and 100 - ``trim`` of each axis."""
+    inside = np.ones(len(scene), bool)
+    for along in scene.means.T:
+        low, high = np.percentile(along, (trim, 100 - trim))
+        inside &= (along >= low) & (along <= high)
+    return inside
+
+
 def _logits(opacities: F32) -> F32:
     """What a sigmoid makes ``opacities`` of, kept to 0..1."""
     wide = opacities.astype(np.float64)
@@ -106,7 +168,7 @@ def _logits(opacities: F32) -> F32:
     return np.asarray(np.clip(logits, 0, 1), np.float32)
 
 
-def _inside(scene: Scene, crop: Box) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _inside(scene: Scene, crop: Box) -> Bools:
     low: F64 = np.asarray(crop.low, np.float64) - scene.origin
     high: F64 = np.asarray(crop.high, np.float64) - scene.origin
     inside = np.ones(len(scene), bool)

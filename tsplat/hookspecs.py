@@ -5,8 +5,8 @@ A plugin is a distribution with an entry point in the group ``tsplat`` that name
     [project.entry-points.tsplat]
     bitsort = "tsplat_bitsort"
 
-The module implements any of these hooks; tsplat's own backends, presenters and readers enter by
-the same door:
+The module implements any of these hooks; tsplat's own backends, presenters, readers and writers
+enter by the same door:
 
     from tsplat import Backend, Stages, hookimpl
 
@@ -26,6 +26,7 @@ import pluggy
 if TYPE_CHECKING:
     from tsplat.core.stages import Backend
     from tsplat.io.base import Reader
+    from tsplat.io.write.base import Writer
     from tsplat.presenters.base import Presenter
 
 PROJECT = "tsplat"
@@ -47,3 +48,8 @@ def tsplat_presenters() -> list[Presenter]:  # type: ignore[empty-body]
 @hookspec
 def tsplat_readers() -> list[Reader]:  # type: ignore[empty-body]
     """Scene file formats this plugin reads."""
+
+
+@hookspec
+def tsplat_writers() -> list[Writer]:  # type: ignore[empty-body]
+    """Scene file formats this plugin writes."""

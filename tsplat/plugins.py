@@ -1,4 +1,4 @@
-"""Finds backends, presenters and readers. A broken plugin is reported, never fatal.
+"""Finds backends, presenters, readers and writers. A broken plugin is reported, never fatal.
 
 pluggy's own entry-point loader stops the host at the first plugin that fails to import, so
 this one loads them one by one, checks what each returns, and keeps a list of problems.
@@ -23,6 +23,7 @@ from tsplat import hookspecs
 from tsplat.core.errors import PluginError, printable
 from tsplat.core.stages import STAGES, Backend, Stages
 from tsplat.io.base import Reader
+from tsplat.io.write.base import Writer
 from tsplat.presenters.base import Presenter
 
 BUILT_IN = (
@@ -43,6 +44,7 @@ BUILT_IN = (
     "tsplat.io.spz",
     "tsplat.io.sog",
     "tsplat.io.gltf",
+    "tsplat.io.write.built_in",
 )
 ENVIRONMENT = "TSPLAT_PLUGINS"
 OWN = "tsplat"
@@ -51,6 +53,7 @@ KINDS: dict[str, tuple[type, str]] = {
     "backend": (Backend, "tsplat_backends"),
     "presenter": (Presenter, "tsplat_presenters"),
     "reader": (Reader, "tsplat_readers"),
+    "writer": (Writer, "tsplat_writers"),
 }
 
 
@@ -73,15 +76,17 @@ class Registry:
     backends: dict[str, Backend] = field(default_factory=dict)
     presenters: dict[str, Presenter] = field(default_factory=dict)
     readers: dict[str, Reader] = field(default_factory=dict)
+    writers: dict[str, Writer] = field(default_factory=dict)
     distributions: dict[tuple[str, str], str] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
 
     def table(self, kind: str) -> dict[str, Any]:
-        """The table of one kind: ``backend``, ``presenter`` or ``reader``."""
+        """The table of one kind: ``backend``, ``presenter``, ``reader`` or ``writer``."""
         tables: dict[str, dict[str, Any]] = {
             "backend": self.backends,
             "presenter": self.presenters,
             "reader": self.readers,
+            "writer": self.writers,
         }
         return tables[kind]
 
@@ -127,6 +132,10 @@ def _fault(kind: str, row: object) -> str | None:
         return f"{wanted.__name__}.name must be a printable word without space, comma or =, " + (
             f"got {printable(repr(name))}"
         )
+    if isinstance(row, Writer) and not all(
+        isinstance(suffix, str) and suffix.startswith(".") for suffix in row.suffixes
+    ):
+        return f"Writer.suffixes must each begin with a dot, got {printable(row.suffixes)}"
     if isinstance(row, Backend) and not (row.stages and set(row.stages) <= set(STAGES)):
         return f"Backend.stages must name some of {', '.join(STAGES)}, got {row.stages!r}"
     return None

@@ -7,15 +7,16 @@ smallest or the largest coordinate: the extent is found by opacity-weighted perc
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsplat.core.camera import Camera, Orbit
-from tsplat.core.constants import FAR, NEAR
+from tsplat.core.constants import FAR, NEAR, UPWARDS
 from tsplat.core.errors import CameraError
-from tsplat.core.types import F64, I64, Scene
+from tsplat.core.types import F64, I64, Scene, Up
 
 SAMPLE = 32_768
 """Gaussians looked at; a percentile of that many is within 0.6 % of the whole scene's."""
@@ -38,8 +39,11 @@ YAW = math.radians(30)
 PITCH = math.radians(15)
 """The three-quarter view from slightly above, in which a thing shows its shape."""
 
-UP = (0.0, -1.0, 0.0)
-"""World direction that is upwards in COLMAP's frame, which INRIA's trainer keeps: y points down."""
+UP = Up(UPWARDS, "y points down, as in COLMAP's frame, which trainers keep")
+"""Which way is up unless a file says otherwise."""
+
+AGREE = 0.7
+"""Length that the mean of the cameras' upward directions has at least, if there is an upward."""
 
 TURNS = 24
 """Directions on the circle round a scene in which it must fit."""
@@ -100,6 +104,24 @@ def _quantiles(values: F64, weights: F64, *shares: float) -> F64:
     return np.asarray(values[order][np.minimum(places, len(order) - 1)], np.float64)
 
 
+def up_of(scene: Scene) -> Up:
+    """Which way is up in ``scene``."""
+    return scene.up or UP
+
+
+def up_of_cameras(cameras: Sequence[Camera], where: str) -> Up | None:
+    """The mean of their upward directions, if they agree by and large; ``where`` names their file.
+
+    People hold cameras upright: over a walk round a scene what is tilted or looks down cancels.
+    """
+    mean = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
+    length = float(np.linalg.norm(mean))
+    if not length >= AGREE:
+        return None
+    x, y, z = (round(float(value), 6) + 0.0 for value in mean / length)
+    return Up((x, y, z), f"upwards in the {len(cameras)} pictures of {where}")
+
+
 def clip_planes(distance: float) -> tuple[float, float]:
     """(near, far) for content at ``distance``, however small or large the world's unit is."""
     return min(NEAR, distance * 1e-3), max(FAR, distance * 1e3)
@@ -110,7 +132,7 @@ def frame_orbit(
     width: int,
     height: int,
     fov: float = FOV,
-    up: ArrayLike = UP,
+    up: ArrayLike | None = None,
     *,
     yaw: float = YAW,
     pitch: float = PITCH,
@@ -122,14 +144,14 @@ def frame_orbit(
         width: px.
         height: px.
         fov: vertical field of view, degrees.
-        up: [3] world direction that is upwards.
+        up: [3] world direction that is upwards; None is what the scene's file says, or UP.
         yaw: radians about ``up``, where the orbit begins.
         pitch: radians; positive looks down from above.
 
     Raises:
         CameraError: ``fov`` is not between 0 and 180, ``up`` is zero, a size is less than 1.
     """
-    upwards = np.asarray(up, np.float64)
+    upwards = np.asarray(up_of(scene).direction if up is None else up, np.float64)
     if upwards.shape != (3,) or not np.isfinite(upwards).all() or not upwards.any():
         raise CameraError(f"up: expected three finite numbers, not all zero, got {up!r}")
     extent = scene_extent(scene)
@@ -160,7 +182,7 @@ def frame_scene(
     fov: float = FOV,
     yaw: float = YAW,
     pitch: float = PITCH,
-    up: ArrayLike = UP,
+    up: ArrayLike | None = None,
 ) -> Camera:
     """The camera that :func:`frame_orbit` begins with; near and far fit the scene's size.
 

@@ -13,7 +13,13 @@ from tests.io.realdata import DATA, needs_data
 from tsplat.core.camera import Camera, look_at
 from tsplat.core.errors import CameraError
 from tsplat.io import load_cameras
-from tsplat.io.cameras import camera_from_json, camera_to_json, load_camera, parse_camera_spec
+from tsplat.io.cameras import (
+    camera_from_json,
+    camera_to_json,
+    cameras_beside,
+    load_camera,
+    parse_camera_spec,
+)
 
 CAMERA = look_at([1, 2, -5], [0.25, 0, 0.5], [0, -1, 0.1], 47.0, 64, 48, 0.5, 99.0)
 OWN = camera_to_json(CAMERA)
@@ -58,6 +64,85 @@ def test_inria_position_is_the_centre_and_rotation_camera_to_world():
     ahead = camera.viewmat @ [*(np.array([1, 2, 3]) + 5 * axis_in_world), 1]
     np.testing.assert_allclose(ahead, [0, 0, 5, 1], atol=1e-12)
     assert camera.K.tolist() == [[30, 0, 20], [0, 31, 10], [0, 0, 1]]
+
+
+def transforms(**words):
+    """A transforms.json of one frame, whose camera stands at 1, 2, 3 and looks along +x, z up."""
+    placed = [[0, 0, -1, 1], [-1, 0, 0, 2], [0, 1, 0, 3], [0, 0, 0, 1]]
+    frame = {"file_path": "a.png", "transform_matrix": placed}
+    return {"w": 40, "h": 20, "fl_x": 30, "fl_y": 31, "frames": [frame]} | words
+
+
+def test_transforms_json(tmp_path):
+    """Nerfstudio's: OpenGL's cameras, which look along -z with y up; the principal point counts."""
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps(transforms(cx=19, cy=11)))
+    (camera,) = load_cameras(path)
+    np.testing.assert_allclose(camera.centre, [1, 2, 3])
+    np.testing.assert_allclose(camera.rotation @ [1, 0, 0], [0, 0, 1])  # ahead
+    np.testing.assert_allclose(camera.rotation @ [0, 0, 1], [0, -1, 0])  # up
+    assert camera.K.tolist() == [[30, 0, 19], [0, 31, 11], [0, 0, 1]]
+    assert (camera.width, camera.height) == (40, 20)
+
+
+def test_transforms_json_with_an_angle(tmp_path):
+    """Blender's: the horizontal field of view; a frame's own numbers count more."""
+    path = tmp_path / "transforms.json"
+    data = transforms(camera_angle_x=np.pi / 2)
+    del data["fl_x"], data["fl_y"]
+    data["frames"].append({**data["frames"][0], "fl_x": 7, "w": 10})
+    path.write_text(json.dumps(data))
+    wide, own = load_cameras(path)
+    np.testing.assert_allclose(wide.K, [[20, 0, 20], [0, 20, 10], [0, 0, 1]])
+    assert own.K.tolist() == [[7, 0, 5], [0, 7, 10], [0, 0, 1]]
+
+
+def test_transforms_json_in_the_world_that_was_trained_in(tmp_path):
+    """What nerfstudio did to cameras before it trained is done here, too: turned, then scaled."""
+    (tmp_path / "transforms.json").write_text(json.dumps(transforms()))
+    turn = [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7]]
+    words = json.dumps({"transform": turn, "scale": 0.5})
+    (tmp_path / "dataparser_transforms.json").write_text(words)
+    (camera,) = load_cameras(tmp_path / "transforms.json")
+    np.testing.assert_allclose(camera.centre, [(5 - 2) / 2, (6 + 1) / 2, (7 + 3) / 2])
+    np.testing.assert_allclose(camera.rotation @ [0, 1, 0], [0, 0, 1])  # +x has become +y
+
+
+BAD_TRANSFORMS = {
+    "frames: expected a list of at least one": transforms(frames=[]),
+    "frame 0: expected an object, got int": transforms(frames=[3]),
+    "frame 0: lacks transform_matrix": transforms(frames=[{}]),
+    "frame 0: lacks w": {k: v for k, v in transforms().items() if k != "w"},
+    "frame 0: lacks fl_x; expected that or": {k: v for k, v in transforms().items() if k != "fl_x"},
+    "frame 0: h: expected a whole number": transforms(h="20"),
+    "transform_matrix: expected 4 x 4 numbers": transforms(frames=[{"transform_matrix": [1]}]),
+    "orthonormal": transforms(frames=[{"transform_matrix": (2 * np.eye(4)).tolist()}]),
+}
+
+
+@pytest.mark.parametrize("text", BAD_TRANSFORMS)
+def test_bad_transforms(tmp_path, text):
+    """The frame and what is wrong with it are named."""
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps(BAD_TRANSFORMS[text]))
+    with pytest.raises(CameraError, match=text):
+        load_cameras(path)
+    path.write_text(json.dumps(transforms()))
+    (tmp_path / "dataparser_transforms.json").write_text("{}")
+    with pytest.raises(CameraError, match="lacks transform or scale"):
+        load_cameras(path)
+
+
+def test_cameras_lie_beside_or_above(tmp_path):
+    """INRIA's two folders above the scene, or beside; the nearest counts, cameras.json first."""
+    scene = tmp_path / "point_cloud" / "iteration_7" / "point_cloud.ply"
+    scene.parent.mkdir(parents=True)
+    assert cameras_beside(scene) is None
+    for file in (
+        tmp_path / "cameras.json", scene.parent / "transforms.json", scene.parent / "cameras.json",
+    ):  # fmt: skip
+        file.write_text("[]")
+        assert cameras_beside(scene) == file
 
 
 @needs_data

@@ -107,7 +107,7 @@ def test_point_cloud_and_mesh_are_named(tmp_path):
     )
 
 
-@pytest.mark.parametrize("name", ["x", "f_dc_1", "opacity", "scale_2", "rot_3"])
+@pytest.mark.parametrize("name", ["x", "f_dc_1", "opacity", "scale_1", "rot_3"])
 def test_a_missing_property_is_named(tmp_path, name):
     """Exactly the property that is not there is named."""
     columns = raw_columns(2, 0)

@@ -1,6 +1,7 @@
 """The table of what a terminal was asked, answered, and what follows."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from fakes import FakeTerminal
@@ -77,9 +78,40 @@ def test_past_tmux():
 def test_liars_by_name():
     """What is known of a terminal is told for that one, and each has a reason."""
     _, known = table(Heard(KONSOLE26), XTERM256)
-    assert known == [("known of konsole", lie) for lie in LIARS["konsole"]]
+    assert known == [("known of konsole", lie) for lie, _ in LIARS["konsole"]]
     assert table(Heard(KITTY48), {})[1] == []
-    assert all(len(lie) > 20 for lies in LIARS.values() for lie in lies)
+    assert all(len(lie) > 20 for lies in LIARS.values() for lie, _ in lies)
+
+
+def done(heard, environ, **changes):
+    """What is done about each lie, where the terminal is as it is but for ``changes``."""
+    terminal = replace(heard.terminal(environ, WINSIZE), **changes)
+    rows = findings(heard, environ, WINSIZE, terminal)
+    return [row.conclusion for row in rows if row.question.startswith("known of")]
+
+
+def test_what_is_done_about_liars():
+    """It is said of each, and only where it is so."""
+    konsole = Heard(KONSOLE26)
+    first, sync, cell, mouse, releases = done(konsole, XTERM256)
+    assert first == "neither is used; iterm2 is chosen before kitty"
+    assert "all terminals" in sync
+    assert cell.endswith(" px")
+    assert mouse == "believed to, by its version"
+    assert "20 ms" in releases
+    old = done(konsole, XTERM256, pixel_mouse=False, keyboard=False, iterm2=False, sixel=False)
+    assert [words.partition("nothing: ")[2] for words in (old[0], *old[3:])] == [
+        "there is no other way", "this version is older", "this one tells no releases",
+    ]  # fmt: skip
+    xterm = Heard(b"\x1bP>|XTerm(379)\x1b\\")
+    assert done(xterm, XTERM256, colors=256, sixel=False) == [
+        "256 colours are sent", "nothing: this one shows no sixel",
+    ]  # fmt: skip
+    assert "scrolled out" in done(xterm, XTERM256, sixel=True)[1]
+    assert done(Heard(TMUX38), TMUX)[0].startswith("the terminal around is asked")
+    assert done(Heard(TMUX38, features="256,title"), TMUX)[0] == "no sixel is sent"
+    past = done(Heard(TMUX33, around=KONSOLE26), TMUX)
+    assert past.count("no pictures are sent past tmux") == len(LIARS["konsole"])
 
 
 def test_over_ssh_and_overridden():

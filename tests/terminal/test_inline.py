@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import threading
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ from tsplat.presenters.halfblock import HALFBLOCK
 from tsplat.presenters.iterm2 import ITERM2
 from tsplat.presenters.kitty import KITTY
 from tsplat.presenters.sixel import SIXEL
+from tsplat.terminal import device
 from tsplat.terminal.answers import KITTY_QUESTION, QUESTIONS
-from tsplat.terminal.inline import SPARE_ROWS, ask_here, placed, show, text_lines
+from tsplat.terminal.inline import SPARE_ROWS, asked_here, placed, show, text_lines
 from tsplat.testing.decoders import halfblock, kitty, kitty_commands
 
 ENVIRON = {"TERM": "xterm"}
@@ -37,8 +39,9 @@ def drawn(colors=1 << 24, picture=PICTURE):
 def test_asking_stays_on_the_main_screen():
     """The viewer's questions between a saved and a restored cursor; the tty's mode is back."""
     with FakeTerminal(extra=b"\x1b_Gi=31;OK\x1b\\") as terminal:
-        facts = ask_here(terminal.fd, terminal.fd, ENVIRON)
-        assert (facts.kitty, facts.sixel, facts.columns, facts.rows) == (True, True, 80, 24)
+        with asked_here(terminal.fd, terminal.fd, ENVIRON) as facts:
+            assert (facts.kitty, facts.sixel, facts.columns, facts.rows) == (True, True, 80, 24)
+            assert terminal.mode() == terminal.saved
         terminal.settle()
         begin, end = b"\x1b7" + KITTY_QUESTION, QUESTIONS + b"\x1b[c\x1b8\x1b[J"
         assert terminal.output.startswith(begin)
@@ -50,26 +53,64 @@ def test_no_answer_means_no_pictures():
     """After the time given; an answer that is late does not stay for a shell to read."""
     with FakeTerminal(delay=None) as terminal:
         terminal.type(b"\x1b]1337;Report")
-        facts = ask_here(terminal.fd, terminal.fd, ENVIRON, seconds=0.1)
-        assert (facts.tty, facts.kitty, facts.sixel) == (True, False, False)
-        assert terminal.mode() == terminal.saved
-        os.set_blocking(terminal.fd, False)
-        with pytest.raises(BlockingIOError):
-            os.read(terminal.fd, 99)
+        with asked_here(terminal.fd, terminal.fd, ENVIRON, seconds=0.1) as facts:
+            assert (facts.tty, facts.kitty, facts.sixel) == (True, False, False)
+            terminal.type(b"\x1b[?62;4c")
+        nothing_left(terminal, b"62;4")
+
+
+def nothing_left(terminal, late):
+    """The mode is back, there is nothing to read, and what was ``late`` was not echoed."""
+    assert terminal.mode() == terminal.saved
+    os.set_blocking(terminal.fd, False)
+    with pytest.raises(BlockingIOError):
+        os.read(terminal.fd, 99)
+    terminal.settle()
+    assert late not in terminal.output
+
+
+@pytest.mark.parametrize("wait", [0.0, 0.4])
+def test_what_tmux_owes_is_waited_for(wait, monkeypatch):
+    """An answer from past tmux that comes during the picture, or after it, is nobody's."""
+    environ = {"TERM": "tmux-256color", "TMUX": "/tmp/x"}
+    monkeypatch.setattr(device, "ask_tmux", lambda environ: device.Tmux(passes=True))
+    late = b"\x1b_Gi=31;OK\x1b\\\x1b[?62;52;c"
+    with FakeTerminal(extra=b"\x1bP>|tmux 3.3a\x1b\\", da1=b"\x1b[?1;2c") as terminal:
+        timer = threading.Timer(wait, terminal.type, [late])
+        with asked_here(terminal.fd, terminal.fd, environ, seconds=0.1) as facts:
+            assert not facts.kitty
+            timer.start()
+            timer.join(0.0 if wait else None)
+            assert timer.is_alive() is bool(wait)
+        timer.join()
+        nothing_left(terminal, b"62;52")
+
+
+def test_what_tmux_keeps_back_is_not_waited_for(monkeypatch):
+    """Where it says that it lets nothing through it is asked nothing that it would not answer."""
+    environ = {"TERM": "tmux-256color", "TMUX": "/tmp/x"}
+    monkeypatch.setattr(device, "ask_tmux", lambda environ: device.Tmux(passes=False))
+    with FakeTerminal(extra=b"\x1bP>|tmux 3.3a\x1b\\", da1=b"\x1b[?1;2c") as terminal:
+        with asked_here(terminal.fd, terminal.fd, environ) as facts:
+            assert "allow-passthrough" in facts.advice
+        assert b"\x1bPtmux;" not in terminal.output
 
 
 def test_ctrl_c_while_asking_is_heard():
     """In raw mode it is a byte like others; it interrupts all the same, the mode restored."""
     with FakeTerminal(extra=b"\x03") as terminal:
-        with pytest.raises(KeyboardInterrupt):
-            ask_here(terminal.fd, terminal.fd, ENVIRON)
+        with pytest.raises(KeyboardInterrupt), asked_here(terminal.fd, terminal.fd, ENVIRON):
+            pass
         assert terminal.mode() == terminal.saved
 
 
 @pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_while_asking_waits_for_the_mode(signum):
     """A deadly signal in the middle of the questions ends the process, the tty's mode restored."""
-    code = "import os; from tsplat.terminal.inline import ask_here; ask_here(0, 1, os.environ)"
+    code = (
+        "import os; from tsplat.terminal.inline import asked_here; "
+        "asked_here(0, 1, os.environ).__enter__()"
+    )
     with FakeTerminal(delay=None) as terminal:
         process = terminal.spawn(code)
         terminal.wait_for(QUESTIONS)
@@ -85,7 +126,8 @@ def test_a_signal_while_asking_waits_for_the_mode(signum):
 def test_what_is_no_terminal_is_not_asked():
     """A dumb one gets no byte."""
     with FakeTerminal() as terminal:
-        assert ask_here(terminal.fd, terminal.fd, {"TERM": "dumb"}).tty is False
+        with asked_here(terminal.fd, terminal.fd, {"TERM": "dumb"}) as facts:
+            assert facts.tty is False
         terminal.settle()
         assert terminal.output == b""
 

@@ -6,6 +6,7 @@ Each rule is also broken on purpose, and the fact that it is there for then fail
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
 
@@ -209,8 +210,8 @@ def test_of_a_large_frame_little_is_out_of_reach(seconds):
     world.run(seconds)
     assert world.queue <= PACED + 2 * STEP
     assert world.rest > 0
-    assert world.link.cut()
-    assert not world.link.cut()
+    assert world.link.cut() == 0
+    assert world.link.cut() is None
     assert world.link.wait(world.now) <= PACED
     world.answers.append(max(world.free_at, world.now) + LATENCY)
     world.rest = 0
@@ -243,3 +244,172 @@ def test_a_piece_is_worth_writing():
     opens = world.link.opens
     assert opens > world.now
     assert world.link.room(opens) == pytest.approx(PIECE_SECONDS * world.link.rate, rel=0.01)
+
+
+class Unsteady(World):
+    """Frames of all ``sizes`` and pauses; answers up to ``late`` s too late, in their order."""
+
+    def __init__(self, link, sizes, late, seed):
+        super().__init__(link, pinged=False)
+        self.rng, self.sizes, self.late = random.Random(seed), sizes, late
+        self.link.pinged(self.latency + 300 / self.rate, 300)
+
+    def write(self):
+        known = len(self.answers)
+        super().write()
+        if len(self.answers) > known:
+            due = self.answers[-1] + self.rng.random() ** 3 * self.late
+            self.answers[-1] = max([due, *self.answers[:-1]])
+
+    def beliefs(self, seconds):
+        """Shares of the link's rate that it is believed to be, after the first 3 s."""
+        found, known, end = [], self.now + 3.0, self.now + seconds
+        while self.now < end:
+            self.run(self.rng.choice([0.2, 0.5, 1.0]), self.rng.choice(self.sizes))
+            while self.rest:
+                self.run(0.01)
+            self.run(self.rng.choice([0.0, 0.0, 1.0]))
+            if self.now > known:
+                found.append(self.link.rate / self.rate)
+        return found
+
+
+class DropsTheSlow(Link):
+    """Each frame for itself: a late answer is forgotten, the quick ones after it are not."""
+
+    def _together(self, frame, seconds):
+        return False
+
+
+class TakesTheLeastForTheWay(Link):
+    """What took only the latency took no time beyond it, so the link would be infinitely fast."""
+
+    def pinged(self, seconds, size=0):
+        super().pinged(seconds)
+
+
+MIXES = [[1500], [1500, 8000], [8000], [1200, 3000, 12000], [8000, 24000, 300_000]]
+
+
+@pytest.mark.parametrize("sizes", MIXES, ids=str)
+def test_the_rate_is_known_from_any_mix(sizes):
+    """Answers in time: never believed to be 3 % more than it is, nor a sixth less."""
+    beliefs = [b for seed in range(3) for b in Unsteady(Link(), sizes, 0.0, seed).beliefs(20.0)]
+    assert 5 / 6 < min(beliefs) <= max(beliefs) < 1.03
+
+
+def test_the_least_frame_says_how_much_it_was():
+    """Small frames alone: if its bytes are left out, the others seem too quick."""
+    wrong = Unsteady(TakesTheLeastForTheWay(), [1500, 3000], 0.0, 1).beliefs(10.0)
+    assert max(wrong) > 1.1
+
+
+@pytest.mark.parametrize("sizes", MIXES, ids=str)
+def test_late_answers_do_not_make_a_link_fast(sizes):
+    """Up to 20 ms late, then several at once: believed to be 5 % more at most, a third less."""
+    beliefs = [b for seed in range(3) for b in Unsteady(Link(), sizes, 0.02, seed).beliefs(20.0)]
+    assert 2 / 3 < min(beliefs) <= max(beliefs) < 1.05
+
+
+def test_of_late_answers_the_quick_ones_are_not_counted_alone():
+    """Each frame for itself: a link that is not there."""
+    wrong = Unsteady(DropsTheSlow(), [1500], 0.02, 0).beliefs(20.0)
+    assert max(wrong) > 1.2
+
+
+class GrowsByHalf(Link):
+    """Whatever was missed."""
+
+    def _starved(self, frame, now):
+        hungry = super()._starved(frame, now)
+        self._hungry += 9 * hungry
+        return hungry
+
+
+@pytest.mark.parametrize(("link", "held"), [(Link, True), (GrowsByHalf, False)])
+def test_growth_is_what_was_missed(link, held):
+    """A long frame at whose end the link had to wait: that is little more than was believed."""
+    world = World(link())
+    world.run(3.0, 6000)
+    world.run(1.0)
+    world.rate = 1.03 * RATE
+    most = 0.0
+    for _ in range(400):
+        world.run(0.05, 500_000)
+        most = max(most, world.link.rate / world.rate)
+    assert (most < 1.1) == held
+
+
+class InParts(World):
+    """Large frames of parts, each answered, over a link that may stop."""
+
+    def send(self, size, part):
+        """A frame of ``size`` bytes."""
+        behind = 0
+        for _ in range(size // part):
+            self.link.begin(self.now, part, behind)
+            behind += part
+        self.rest, self.part, self.done = size, part, 0
+
+    def write(self):
+        while self.rest and self.now >= self.link.opens:
+            count = int(min(self.rest, max(PIECE, self.link.room(self.now))))
+            self.link.wrote(self.now, count)
+            for _ in range(count):
+                self.free_at = max(self.free_at, self.now) + 1 / self.rate
+                self.done += 1
+                if self.done % self.part == 0:
+                    self.answers.append(self.free_at + self.latency)
+            self.rest -= count
+
+
+@pytest.mark.parametrize("part", [6000, 600_000])
+def test_a_stall_within_a_large_picture_is_heard_of(part):
+    """0.3 s: what queued up is gone soon after; not so if only its end is answered."""
+    world = InParts()
+    world.run(0.0)
+    for _ in range(10):  # what the rate is known from
+        world.send(6000, 6000)
+        world.run(0.3)
+    world.send(600_000, part)
+    world.run(1.0)
+    world.free_at += 0.3
+    world.run(1.0)
+    assert world.rest > 0
+    assert (world.queue <= PACED + 0.02) == (part == 6000)
+
+
+def test_what_is_unanswered_is_bounded():
+    """Parts whose answers fail to come: what the way holds, and a part; then nothing more goes."""
+    world = InParts()
+    world.run(0.0)
+    for _ in range(10):
+        world.send(6000, 6000)
+        world.run(0.3)
+    world.send(600_000, 6000)
+    world.run(1.0)
+    world.deaf = True
+    world.run(5.0)
+    assert world.rest > 0
+    assert world.link.under_way <= world.link.rate * (LATENCY + PACED + AHEAD) + 6000 + PIECE
+    assert world.link.opens == math.inf
+    left = world.link.cut()
+    assert left is not None
+    assert left > 10
+    assert world.link.under_way > 0
+
+
+def test_parts_are_counted_from_their_first_byte():
+    """Bytes go to the frames in their order, text before one to none."""
+    link = Link()
+    link.begin(1.0, 100)
+    link.begin(1.0, 200, 150)  # 50 bytes of text in between
+    link.wrote(2.0, 120)
+    assert link.under_way == 100
+    link.wrote(3.0, 40)
+    assert link.under_way == 110
+    assert link.cut() == 0
+    assert link.cut() is None
+    assert link.answered(5.0).seconds == pytest.approx(3.0)
+    flight = link.answered(6.0)
+    assert (flight.sent, flight.seconds) == (10, pytest.approx(3.0))

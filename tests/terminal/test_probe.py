@@ -2,11 +2,17 @@
 
 import os
 import re
+import shlex
+import shutil
+import subprocess
+import sys
 import threading
 import time
 
+import pytest
 from fakes import DA1, FakeTerminal
 
+from tests.conftest import ROOT
 from tsplat.presenters.base import Terminal
 from tsplat.terminal import probe
 from tsplat.terminal.answers import KITTY_QUESTION, QUESTIONS
@@ -109,6 +115,59 @@ def test_tmux_lets_nothing_through():
         assert 0.1 < time.monotonic() - begun < 0.5
         assert not facts.kitty
         assert "allow-passthrough" in facts.advice
+
+
+EARLY = """
+import os, sys
+from tsplat.terminal import device
+open(sys.argv[1] + "/started", "w").close()
+heard = device.hear(0, 1, os.environ)
+with open(sys.argv[1] + "/part", "wb") as file:
+    file.write(heard.around)
+os.rename(sys.argv[1] + "/part", sys.argv[1] + "/around")
+"""
+
+
+def known_to_tmux(terminal):
+    """Answers what tmux asks first (DA2): before that it passes no answers on."""
+    terminal.wait_for(b"\x1b[>c")
+    terminal.type(b"\x1b[>41;379;0c")
+
+
+def until(there, seconds=20.0):
+    """Waits for it."""
+    end = time.monotonic() + seconds
+    while not there():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@pytest.mark.skipif(shutil.which("tmux") is None, reason="tmux is not installed")
+@pytest.mark.parametrize("comes", [True, False])
+def test_a_session_that_is_not_in_a_terminal_yet(comes, tmp_path):
+    """tmux's first program may be quicker than tmux: the terminal is waited for, not for ever."""
+    tmux = ["tmux", "-S", str(tmp_path / "socket"), "-f", str(tmp_path / "conf")]
+    (tmp_path / "conf").write_text("set -g allow-passthrough on\n")
+    (tmp_path / "early.py").write_text(EARLY)
+    program = shlex.join([sys.executable, str(tmp_path / "early.py"), str(tmp_path)])
+    clean = {name: text for name, text in os.environ.items() if name != "TMUX"}
+    environ = {**clean, "TERM": "xterm", "PYTHONPATH": str(ROOT)}
+    with FakeTerminal() as terminal:
+        subprocess.run([*tmux, "new-session", "-d", program], check=True, env=environ)
+        try:
+            until((tmp_path / "started").exists)
+            time.sleep(0.3)  # until it asks, and finds nobody there
+            if comes:
+                attach = shlex.join(["exec", "env", "-u", "TMUX", *tmux, "attach"])
+                client = f"import os; os.execvp('sh', ['sh', '-c', {attach!r}])"
+                thread = threading.Thread(target=known_to_tmux, args=(terminal,))
+                thread.start()
+                terminal.spawn(client).communicate(timeout=60)  # it ends with the program
+                thread.join()
+            until((tmp_path / "around").exists)
+            assert (DA1 in (tmp_path / "around").read_bytes()) is comes
+        finally:
+            subprocess.run([*tmux, "kill-server"], check=False, capture_output=True)
 
 
 def test_a_window_opened_from_tmux():

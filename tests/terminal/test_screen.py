@@ -1,6 +1,8 @@
 """A session leaves no trace, however it ends, and frames and events pass as promised."""
 
+import math
 import os
+import re
 import signal
 import threading
 import time
@@ -12,6 +14,8 @@ from tests.modes import TELLS, left_on
 from tsplat.core.errors import TerminalError
 from tsplat.presenters.base import Terminal
 from tsplat.terminal import Event, Screen, screen
+from tsplat.terminal.link import _Sample
+from tsplat.viewer.text import help_page
 
 ENVIRON = {"TERM": "xterm"}
 # The last is a question: its answer is the last thing to come
@@ -79,6 +83,58 @@ def test_restored_on_deadly_signals(signum, body):
         assert process.returncode == 128 + signum, errors
         assert errors == ""
         check_restored(terminal)
+
+
+@pytest.mark.parametrize("name", ["XTerm(412)", "foot(1.28.0)"])
+def test_an_xterm_is_rid_of_its_pictures(name):
+    """Wherever the screen is cleared, and at the end, they are scrolled out; no other scrolls."""
+    facts = Terminal(80, 24, sixel=True, name=name)
+    with FakeTerminal() as terminal:
+        with session(terminal, terminal=facts) as now:
+            now.clear()
+        terminal.settle()
+        out, scroll, gone = terminal.output, b"\x1b[24S", b"\x1b[m\x1b[2J"
+    if name.startswith("XTerm"):
+        assert out.count(scroll + gone) == out.count(gone) == 2
+        assert out.index(b"\x1b[?1049h") < out.index(scroll)
+        assert out.rindex(gone) < out.rindex(scroll) < out.index(b"\x1b[?1049l")
+        assert scroll + gone in help_page(facts)
+    else:
+        assert b"S" not in out
+        assert scroll not in help_page(facts)
+
+
+def test_what_tmux_loses_is_drawn_anew():
+    """A frame that is not acknowledged past tmux soon is lost, and maybe its picture: all again."""
+    facts = Terminal(kitty=True, multiplexer="tmux", around="kitty(0.48.2)", placeholders=True)
+
+    def kinds(now, kind):
+        heard, end = [], time.monotonic() + 10
+        while kind not in heard:
+            assert time.monotonic() < end
+            heard += [event.kind for event in now.read_events(10)]
+        return heard
+
+    with FakeTerminal(reports=False) as terminal, session(terminal, terminal=facts) as now:
+        past = b"\x1bPtmux;\x1b\x1b[5n\x1b\\"
+        for i in range(2):
+            now.draw(b"kept")
+            terminal.wait_for(b"kept\x1b[?2026l" + past)
+            terminal.type(b"\x1b[0n")
+            assert kinds(now, "ready") == ["ready"]
+            begun = time.monotonic()
+            now.draw(b"lost")
+            assert kinds(now, "resize") == ["resize"]
+            assert time.monotonic() - begun < screen.PATIENCE_SECONDS / 2
+            assert not now.busy
+            assert not now.waiting
+            now.draw(b"again %d" % i)  # in another pane its answer would be typed into a shell
+            terminal.wait_for(b"again %d\x1b[?2026l\x1b[5n" % i)
+            terminal.type(b"\x1b[0n")
+            assert kinds(now, "ready") == ["ready"]
+            terminal.type(b"k")
+            assert kinds(now, "key") == ["key"]
+            terminal.output = b""
 
 
 def test_a_second_signal_interrupts_work(tmp_path):
@@ -494,9 +550,10 @@ def test_a_far_terminal_gets_the_next_frame_before_it_answers():
         open_screen.draw(b"NEAR")
         assert open_screen.busy
         open_screen.link.lost()
+        open_screen._updates.clear()
         open_screen._unanswered = 0
         open_screen.link.latency = 5.0
-        open_screen.link._samples += [(100_000, 1.0)] * 3
+        open_screen.link._samples += [_Sample(100_000, 1.0, 0.0)] * 3
         for n in range(3):
             open_screen.draw(b"ONE" * 1000)
             assert open_screen.read_events(2) == [Event("ready")]
@@ -529,3 +586,64 @@ def test_a_frame_that_is_through_is_asked_about_once():
         assert open_screen.read_events(2) == [Event("ready")]
         terminal.settle()
         assert terminal.output.count(b"\x1b[5n") == 2
+
+
+CHUNKS = b"".join(b"\x1b_Gm=1;%s\x1b\\" % (b"%04d" % n * 500) for n in range(40))
+
+
+def test_parts_begin_where_sequences_do():
+    """Together they are the picture; none of a string is cut, nor what is doubled for tmux."""
+    cells = b"".join(b"\x1b[38;2;%d;0;0m\xe2\x96\x80" % (n % 256) for n in range(4000))
+    inside = b"\x1bPtmux;" + CHUNKS.replace(b"\x1b", b"\x1b\x1b") + b"\x1b\\"
+    for payload, several in [(CHUNKS, True), (cells, True), (inside, False), (b"\x1bPq1;", False)]:
+        parts = screen.in_parts(payload, 6000)
+        assert b"".join(parts) == payload
+        assert (len(parts) > 5) == several
+        if several:
+            assert all(6000 <= len(part) < 16_000 for part in parts)
+            assert all(re.match(rb"\x1b[\[_]", part) for part in parts)
+    assert screen.in_parts(CHUNKS, math.inf) == [CHUNKS]
+    assert screen.in_parts(CHUNKS, len(CHUNKS) / 3) == [CHUNKS]
+
+
+def far_away(open_screen, rate=1e6):
+    """A link of ``rate`` bytes/s that is known to be far."""
+    open_screen.link.lost()
+    open_screen.link.latency = 0.1
+    open_screen.link._samples += [_Sample(int(rate), 1.0, 0.0)] * 8
+
+
+def test_a_large_picture_is_answered_in_parts_and_counts_once():
+    """Each an update of its own, with a report behind it; one flight, of all bytes."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        far_away(open_screen, 200e3)
+        open_screen.draw(CHUNKS)
+        while open_screen.waiting or not open_screen.flights:
+            assert open_screen.read_events(5)
+        terminal.settle()
+        asked = terminal.output.count(b"\x1b[5n")
+        assert (
+            asked
+            == terminal.output.count(b"\x1b[?2026h")
+            == len(screen.in_parts(screen.HOME + CHUNKS, 10_000))
+        )
+        assert asked > 4
+        written = terminal.output[terminal.output.index(b"\x1b[?2026h") :]
+        assert re.sub(rb"\x1b\[\?2026[hl]|\x1b\[5n|\x1b\[H", b"", written) == CHUNKS
+        (flight,) = open_screen.flights
+        assert flight.sent == len(written)
+
+
+def test_a_picture_cut_short_between_its_parts_counts_once():
+    """What was not begun is not waited for."""
+    with FakeTerminal() as terminal, session(terminal) as open_screen:
+        far_away(open_screen, 50e3)
+        open_screen.draw(CHUNKS)
+        assert open_screen.abandon()
+        while open_screen.waiting:
+            assert open_screen.read_events(5)
+        assert len(open_screen.flights) == 1
+        assert open_screen.flights[0].sent < len(CHUNKS) / 2
+        terminal.settle()
+        assert CHUNKS[-1000:] not in terminal.output
+        assert not open_screen.busy

@@ -84,3 +84,16 @@ def test_blocks_end_where_cells_do():
         block = pace.covered(level)[0] // width
         y, x = np.mgrid[0:66, 0:100]
         assert (got == few.rgb[y // block, x // block]).all()
+
+
+def test_whole_cells_stay_or_none_of_their_pixels():
+    """One px of a cell that is off, and all of it is new; the others' stay, coarse or not."""
+    before = frame(np.full((8, 8, 3), 0.52))
+    now = frame(np.full((8, 8, 3), 0.5))
+    now.rgb[5, 3] = 0.9
+    got = shaded(now, 16, before, (2, 4)).rgb
+    assert (got[4:8, 2:4] == shaded(now, 16, None).rgb[4:8, 2:4]).all()
+    got[4:8, 2:4] = before.rgb[4:8, 2:4]
+    assert (got == before.rgb).all()
+    alone = shaded(now, 16, before).rgb
+    assert (alone != before.rgb).any(-1).sum() == 1

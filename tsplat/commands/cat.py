@@ -6,7 +6,8 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 
 from tsplat.commands.common import calibrated, load, params, pose, say, unwinding
@@ -24,7 +25,7 @@ from tsplat.terminal.device import window_size
 from tsplat.terminal.inline import (
     NEW_LINE,
     SPARE_ROWS,
-    ask_here,
+    asked_here,
     open_input,
     placed,
     show,
@@ -37,45 +38,52 @@ SPARE = SPARE_ROWS + 1
 
 def run(arguments: argparse.Namespace) -> int:
     """One scene after the other; 1 if one of them could not be shown."""
-    terminal = _terminal(os.environ)
+    with unwinding(), _terminal(os.environ) as terminal:
+        return _run(arguments, terminal)
+
+
+def _run(arguments: argparse.Namespace, terminal: Terminal) -> int:
     wanted = arguments.presenter or os.environ.get("TSPLAT_PRESENTER") or "auto"
     if wanted == "auto" and not terminal.tty:
         wanted = "halfblock"
     presenter, _ = choose_presenter(plugins().presenters, terminal, wanted)
     scenes = arguments.scene or [None]
     failed = False
-    with unwinding():
-        for name in scenes:
-            one = argparse.Namespace(**{**vars(arguments), "scene": name})
-            try:
-                data = _drawn(one, terminal, presenter, caption=len(scenes) > 1)
-            except TsplatError as error:
-                if len(scenes) == 1:
-                    raise
-                say(printable(error, 1000))
-                failed = True
-            else:
-                _write(data, terminal)
+    for name in scenes:
+        one = argparse.Namespace(**{**vars(arguments), "scene": name})
+        try:
+            data = _drawn(one, terminal, presenter, caption=len(scenes) > 1)
+        except TsplatError as error:
+            if len(scenes) == 1:
+                raise
+            say(printable(error, 1000))
+            failed = True
+        else:
+            _write(data, terminal)
     return int(failed)
 
 
-def _terminal(environ: Mapping[str, str]) -> Terminal:
+@contextmanager
+def _terminal(environ: Mapping[str, str]) -> Iterator[Terminal]:
     """What pictures are drawn on. What is no terminal is not asked, and has 24-bit colours."""
     out = sys.stdout.fileno()
     if not os.isatty(out):
         columns, rows = (_number(environ.get(name)) for name in ("COLUMNS", "LINES"))
         colors = 2 if environ.get("NO_COLOR") else 1 << 24
         samples = wanted_samples(environ)
-        return Terminal(columns or 80, rows or 24, colors=colors, samples=samples, tty=False)
+        yield Terminal(columns or 80, rows or 24, colors=colors, samples=samples, tty=False)
+        return
     if environ.get("TERM", "") in ("", "dumb"):
         raise TerminalError(
             "TERM=dumb shows no picture; `tsplat render SCENE -o out.png` makes one"
         )
     source = open_input()
     if source is None:  # nowhere to read answers from
-        return parse_answers(b"", environ, window_size(out))
+        yield parse_answers(b"", environ, window_size(out))
+        return
     try:
-        return ask_here(source, out, environ)
+        with asked_here(source, out, environ) as terminal:
+            yield terminal
     finally:
         if source:
             os.close(source)

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from tsplat.core.camera import Camera, look_at
 from tsplat.core.constants import FAR, NEAR
 from tsplat.core.errors import CameraError, ParamsError
 from tsplat.core.params import PRESETS, RenderParams, parse_settings, settings_text
-from tsplat.core.types import Scene
+from tsplat.core.types import Scene, Up
 
 if TYPE_CHECKING:
     from tsplat.edits import Edits
@@ -31,11 +32,12 @@ DEFAULT_SIZE = 1280, 720
 def load(arguments: argparse.Namespace, *, exact: bool = False) -> Scene:
     """The scene named on the command line, or the demo scene; a progress bar if it takes long.
 
-    ``exact`` keeps colours in float32, as ``--sh-float32`` does. Edits are made to it.
+    ``exact`` keeps colours in float32, as ``--sh-float32`` does. Edits are made to it; what they
+    leave out is not in it.
     """
-    from tsplat.edits import edited
+    from tsplat.edits import filtered
 
-    return edited(load_unedited(arguments, exact=exact), edits(arguments))
+    return filtered(load_unedited(arguments, exact=exact), edits(arguments))
 
 
 def edits(arguments: argparse.Namespace) -> Edits:
@@ -46,6 +48,8 @@ def edits(arguments: argparse.Namespace) -> Edits:
     return Edits(
         splat_scale=getattr(arguments, "splat_scale", 1.0),
         min_opacity=getattr(arguments, "min_opacity", 0.0),
+        max_scale=getattr(arguments, "max_scale", None),
+        trim=getattr(arguments, "trim", 0.0),
         saturation=getattr(arguments, "saturation", 1.0),
         crop=Box(*crop) if crop else None,
     )
@@ -62,13 +66,26 @@ def load_unedited(arguments: argparse.Namespace, *, exact: bool = False) -> Scen
     from tsplat.io.progress import progress_bar
 
     with progress_bar(f"reading {arguments.scene}") as progress:
-        return load_scene(
+        scene = load_scene(
             arguments.scene,
             max_splats=arguments.max_splats,
             raw_opacity=arguments.raw_opacity,
             sh_float32=arguments.sh_float32 or exact,
             progress=progress,
         )
+    return scene if scene.up else replace(scene, up=_up_beside(Path(arguments.scene)))
+
+
+def _up_beside(scene: Path) -> Up | None:
+    """What the cameras that lie beside a scene say of its up; nothing if they cannot be read."""
+    from tsplat.io.cameras import cameras_beside, load_cameras
+    from tsplat.views import up_of_cameras
+
+    try:
+        beside = cameras_beside(scene)
+        return up_of_cameras(load_cameras(beside), beside.name) if beside else None
+    except (CameraError, OSError):
+        return None
 
 
 def params(arguments: argparse.Namespace, scene: Scene) -> RenderParams:
@@ -145,7 +162,7 @@ def camera_from_file(spec: str, size: tuple[int, int] | None) -> Camera:
 
 def pose(arguments: argparse.Namespace, scene: Scene) -> Camera:
     """The camera that the options of ``render`` describe."""
-    from tsplat.views import FOV, UP, frame_orbit, frame_scene, scene_extent
+    from tsplat.views import FOV, frame_orbit, frame_scene, scene_extent
 
     free = [n for n in ("eye", "target", "up", "fov") if getattr(arguments, n) is not None]
     if arguments.camera is not None:
@@ -155,7 +172,7 @@ def pose(arguments: argparse.Namespace, scene: Scene) -> Camera:
     else:
         width, height = arguments.size or DEFAULT_SIZE
         fov = arguments.fov if arguments.fov is not None else FOV
-        up = arguments.up or UP
+        up = upwards(arguments, scene)
         if arguments.eye is not None:
             target = arguments.target or scene_extent(scene).centre
             camera = look_at(arguments.eye, target, up, fov, width, height, NEAR, FAR)
@@ -167,6 +184,17 @@ def pose(arguments: argparse.Namespace, scene: Scene) -> Camera:
     near = arguments.near if arguments.near is not None else camera.near
     far = arguments.far if arguments.far is not None else camera.far
     return replace(camera, near=near, far=far)
+
+
+def upwards(arguments: argparse.Namespace, scene: Scene) -> tuple[float, float, float]:
+    """Which way is up: as the command line says, or as it is known of the scene."""
+    from tsplat.views import up_of
+
+    if arguments.up is not None and arguments.flip_y:
+        raise CameraError("--up and --flip-y both say which way is up: leave one out")
+    up: tuple[float, float, float] = arguments.up or up_of(scene).direction
+    x, y, z = up
+    return (-x, -y, -z) if arguments.flip_y else up
 
 
 def say(text: str) -> None:

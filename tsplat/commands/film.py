@@ -14,7 +14,16 @@ from pathlib import Path
 from typing import Any
 
 from tsplat._version import __version__
-from tsplat.commands.common import calibrated, load, pose, print_json, say, sized, unwinding
+from tsplat.commands.common import (
+    calibrated,
+    load,
+    pose,
+    print_json,
+    say,
+    sized,
+    unwinding,
+    upwards,
+)
 from tsplat.commands.render import wanted
 from tsplat.core.camera import Camera
 from tsplat.core.errors import CameraError, ParamsError, printable
@@ -131,14 +140,14 @@ def _way(arguments: argparse.Namespace, scene: Scene, rate: float) -> tuple[Way,
 
 def _orbit(arguments: argparse.Namespace, scene: Scene, count: int) -> tuple[Way, int]:
     """Once round the target or the scene's middle, from the view that ``render`` alone gives."""
-    from tsplat.views import UP, scene_extent
+    from tsplat.views import scene_extent
 
     options = argparse.Namespace(**vars(arguments))
     if arguments.output.lower().endswith(".cast"):
         options.size = None  # of cells
     begin = pose(options, scene)
     middle = arguments.target or scene_extent(scene).centre
-    up = arguments.up or UP
+    up = upwards(arguments, scene)
     return (lambda index: turned(begin, middle, up, math.tau * index / count)), count
 
 

@@ -11,7 +11,7 @@ from tsplat.commands.common import load, print_json
 from tsplat.core.errors import printable
 from tsplat.core.types import Scene
 from tsplat.plan import Plan, make_plan
-from tsplat.views import scene_extent
+from tsplat.views import scene_extent, up_of
 
 PERCENTILES = (0, 5, 50, 95, 100)
 ROWS_MOVED, ROWS_KEPT = "along a space-filling curve", "in the file's order"
@@ -45,11 +45,13 @@ def describe(scene: Scene, plan: Plan) -> dict[str, Any]:
         if len(scene)
         else (scene.origin, scene.origin)
     )
+    up = up_of(scene)
     arrays = (scene.means, scene.quats, scene.scales, scene.opacities, scene.sh, scene.numbers)
     return {
         "name": printable(scene.name),
         "format": printable(scene.source),
         "antialias": scene.antialias,
+        "up": {"direction": list(up.direction), "why": up.why},
         "gaussians": len(scene),
         "dropped": dict(scene.dropped),
         "sh_degree": scene.sh_degree,
@@ -71,6 +73,14 @@ def describe(scene: Scene, plan: Plan) -> dict[str, Any]:
     }
 
 
+def _axis(direction: list[float]) -> str:
+    """``-y``, or the numbers."""
+    largest = max(direction, key=abs)
+    if abs(largest) == sum(map(abs, direction)):
+        return ("-" if largest < 0 else "") + "xyz"[direction.index(largest)]
+    return " ".join(f"{value:.3g}" for value in direction)
+
+
 def _precision(facts: dict[str, Any]) -> str:
     if facts["sh_dtype"] == "float32":
         return "float32"
@@ -89,6 +99,7 @@ def _lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
         *([("format", facts["format"])] if facts["format"] else []),
         ("Gaussians", f"{facts['gaussians']:,}"),
         *(("left out", f"{n:,}: {reason}") for reason, n in facts["dropped"].items()),
+        ("up", f"{_axis(facts['up']['direction'])}: {facts['up']['why']}; --up, --flip-y"),
         ("SH degree", str(facts["sh_degree"])),
         ("SH in", _precision(facts)),
         ("rows", facts["rows"]),

@@ -14,7 +14,7 @@ from tsplat.presenters.base import Terminal
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Lists backends, presenters, readers and problems."""
+    """Lists backends, presenters, readers, writers and problems."""
     registry = plugins()
     facts = {**describe(registry), "terminal": describe_terminal(registry, arguments.terminal)}
     if arguments.json:
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
             for b in facts["backends"]
         ],
     )  # fmt: skip
-    for kind in ("presenters", "readers"):
+    for kind in ("presenters", "readers", "writers"):
         show(
             kind.capitalize(),
             ("name", "what it is", "from"),
@@ -97,7 +97,7 @@ def describe(registry: Registry) -> dict[str, Any]:
             }
             for row in registry.table(kind).values()
         ]
-        for kind in ("presenter", "reader")
+        for kind in ("presenter", "reader", "writer")
     }
     return {
         "backends": backends, **others, "problems": [vars(p) for p in registry.problems],

@@ -22,13 +22,14 @@ from tsplat.commands.common import (
     pose,
     say,
     terminal_environ,
+    upwards,
 )
 from tsplat.core.camera import Camera
 from tsplat.core.errors import CameraError, ParamsError, TerminalError
 from tsplat.core.params import PRESETS, RenderParams, settings_text
 from tsplat.core.types import Scene
-from tsplat.edits import NOTHING, edited
-from tsplat.io.cameras import load_cameras
+from tsplat.edits import NOTHING, Edits, edited
+from tsplat.io.cameras import cameras_beside, load_cameras
 from tsplat.paths import load_path
 from tsplat.plan import make_plan, why_not
 from tsplat.plugins import Registry, plugins
@@ -40,7 +41,7 @@ from tsplat.viewer.keep import Keeper
 from tsplat.viewer.look import Look
 from tsplat.viewer.loop import Around, Viewer
 from tsplat.viewer.pipeline import Pipeline
-from tsplat.views import FOV, UP, frame_orbit, frame_scene
+from tsplat.views import FOV, frame_orbit, frame_scene
 
 if TYPE_CHECKING:
     from tsplat.viewer.verify import Verifier
@@ -118,8 +119,8 @@ def first_view(
     arguments: argparse.Namespace, scene: Scene, pixels: tuple[int, int], look: Look
 ) -> View:
     """Where one begins: where the options say, or where the whole scene is in the picture."""
-    up, fov = arguments.up or UP, arguments.fov or FOV
-    home = frame_orbit(scene, *pixels, fov, up)
+    fov = arguments.fov or FOV
+    home = frame_orbit(scene, *pixels, fov, upwards(arguments, scene))
     view = View(home, home, fov, look)
     if arguments.camera is None and arguments.eye is None and arguments.target is None:
         return view
@@ -136,21 +137,19 @@ def first_view(
 
 
 def scene_cameras(arguments: argparse.Namespace) -> list[Camera]:
-    """Those of ``--cameras``, or of the cameras.json that belongs to the scene.
-
-    INRIA's trainer leaves one two folders above the scene's.
+    """Those of ``--cameras``, or of the file that belongs to the scene.
 
     Raises:
         CameraError: there is none, or it cannot be read.
     """
     if arguments.cameras is not None:
         return load_cameras(arguments.cameras)
-    if arguments.scene is not None:
-        folder = Path(arguments.scene).absolute().parent
-        for place in (folder, *folder.parents[:2]):
-            if (place / "cameras.json").is_file():
-                return load_cameras(place / "cameras.json")
-    raise CameraError("no cameras.json beside the scene or above it; --cameras names one")
+    beside = None if arguments.scene is None else cameras_beside(Path(arguments.scene))
+    if beside is None:
+        raise CameraError(
+            "no cameras.json or transforms.json beside the scene or above it; --cameras names one"
+        )
+    return load_cameras(beside)
 
 
 def usable_backends(registry: Registry, scene: Scene, wanted: RenderParams) -> list[str]:
@@ -192,12 +191,17 @@ def scene_words(arguments: argparse.Namespace, look: Look) -> list[str]:
         words += ["--quality", settings] if settings != "contract" else []
     else:
         words += ["--set", settings]
-    changes = look.edits
-    for name in ("splat_scale", "min_opacity", "saturation"):
-        if (value := getattr(changes, name)) != getattr(NOTHING, name):
+    return words + edit_words(look.edits)
+
+
+def edit_words(edits: Edits) -> list[str]:
+    """The options that make ``edits``."""
+    words = []
+    for name in ("splat_scale", "min_opacity", "max_scale", "trim", "saturation"):
+        if (value := getattr(edits, name)) != getattr(NOTHING, name):
             words += [f"--{name.replace('_', '-')}", repr(value)]
-    if changes.crop is not None:
-        words.append("--crop=" + _numbers((*changes.crop.low, *changes.crop.high)))
+    if edits.crop is not None:
+        words.append("--crop=" + _numbers((*edits.crop.low, *edits.crop.high)))
     return words
 
 
@@ -263,7 +267,7 @@ def check_command(
             words.append(f"--{name.replace('_', '-')}")
     if arguments.antialias is False:
         words.append("--no-antialias")
-    words += ["--sh-degree", str(arguments.sh_degree)]
+    words += ["--sh-degree", str(arguments.sh_degree), *edit_words(edits(arguments))]
     isa = os.environ.get("TSPLAT_ISA")
     before = f"TSPLAT_ISA={shlex.quote(isa)} " if isa else ""
     return " && ".join(before + shlex.join([*words, "--backend", name]) for name in backends)

@@ -143,6 +143,6 @@ def _number(value: float) -> str:
     """The shortest that is read as ``value`` again: a fraction if that is one of whole numbers."""
     for over in (1, 2, 4, 8):
         under = over / value if value else math.inf
-        if under < 1e6 and over / round(under) == value and len(repr(value)) > 6:
+        if 0.5 < under < 1e6 and over / round(under) == value and len(repr(value)) > 6:
             return f"{over}/{round(under)}"
     return repr(value)

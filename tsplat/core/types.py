@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,13 @@ Floats = NDArray[np.float32] | NDArray[np.float64]
 
 def _zero_origin() -> F64:
     return np.zeros(3)
+
+
+class Up(NamedTuple):
+    """Which way is up in a scene, and how that is known."""
+
+    direction: tuple[float, float, float]  # world axes; any length but 0
+    why: str  # for messages
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +69,7 @@ class Scene:
     numbers: I32 | None = None
     source: str = ""  # for messages: the format it was read from, and what matters of that
     antialias: bool | None = None  # trained with antialiasing, its file says; None: it does not say
+    up: Up | None = None  # as its file says; None: it does not say
 
     def __post_init__(self) -> None:
         check_array("Scene.means", self.means, np.float32, ("N", 3))

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from tsplat.core.camera import Camera
     from tsplat.core.types import Frame, Scene
     from tsplat.io.base import Reader
+    from tsplat.io.write.base import WriteOptions, Written
 
-__all__ = ["load_cameras", "load_scene", "save_image", "scene_from_arrays"]
+__all__ = ["load_cameras", "load_scene", "save_image", "save_scene", "scene_from_arrays"]
 
 START = 4096
 """Bytes from the start of a file that readers are shown."""
@@ -158,3 +159,43 @@ def save_image(
     from tsplat.io import images
 
     images.save_image(frame, path, background)
+
+
+def save_scene(
+    scene: Scene,
+    path: str | os.PathLike[str],
+    *,
+    to: str | None = None,
+    sh_degree: int | None = None,
+    options: WriteOptions | None = None,
+    force: bool = False,
+) -> Written:
+    """Writes ``scene`` to a file, rows in the order of the file it came from.
+
+    Args:
+        scene: what is written; load it with ``sh_float32`` so that nothing is rounded twice.
+        path: where to; the suffix says in which format.
+        to: a writer's name, whatever the suffix.
+        sh_degree: bands of harmonics above it are left out.
+        options: what the format leaves open.
+        force: replace a file that is there; it stays whole until the new one is.
+
+    Returns:
+        What was written and what the format did not hold.
+
+    Raises:
+        OutputError: it cannot be written; one line that says why and what to do.
+        PluginError: there is no writer ``to``.
+        ParamsError: an option or a degree that the format does not have.
+    """
+    from tsplat.io.write import check_writing, find_writer, write_scene
+    from tsplat.io.write.base import WriteOptions
+    from tsplat.io.write.source import Source
+    from tsplat.plugins import plugins
+
+    place = os.fspath(path)
+    writer = find_writer(plugins().writers, place, to)
+    options = WriteOptions() if options is None else options
+    check_writing(place, writer, options, sh_degree, force=force)
+    degree = writer.degree if sh_degree is None else sh_degree
+    return write_scene(Source(scene, degree=degree), place, writer, options)

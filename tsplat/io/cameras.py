@@ -8,12 +8,21 @@ INRIA's ``cameras.json`` (graphdeco-inria/gaussian-splatting ``utils/camera_util
 where position is the camera's centre and rotation's rows are those of camera to world. The
 principal point is the image's middle.
 
+Nerfstudio's and instant-ngp's ``transforms.json``: ``{"w", "h", "fl_x", "fl_y", "cx", "cy",
+"frames": [{"file_path", "transform_matrix": 4 x 4 rows, camera to world}]}``; a frame may have
+intrinsics of its own, ``camera_angle_x`` (radians, the whole picture) stands for ``fl_x``. Cameras
+look along -z with y up, as in OpenGL. Nerfstudio trains in a world that is turned and scaled: where
+its ``dataparser_transforms.json`` lies beside, cameras are moved there. Lens distortion is left
+out. Source: https://docs.nerf.studio/quickstart/data_conventions.html and nerfstudio
+``data/dataparsers/base_dataparser.py``.
+
 In a camera path (``tsplat.paths``) each may have a ``time`` in seconds.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any, NoReturn
@@ -30,6 +39,12 @@ SIZE_MAX = 64 << 20
 
 OWN = ("width", "height", "viewmat", "K")
 INRIA = ("width", "height", "position", "rotation", "fx", "fy")
+BESIDE = ("cameras.json", "transforms.json")
+"""Names of the files of a scene's cameras that lie beside it or above it."""
+
+PARSED = "dataparser_transforms.json"
+OPENGL = np.array([1.0, -1.0, -1.0, 1.0])
+"""Signs of the axes of a camera that looks along -z."""
 
 
 def load_cameras(path: str | os.PathLike[str]) -> list[Camera]:
@@ -50,6 +65,8 @@ def load_timed_cameras(path: str | os.PathLike[str]) -> list[tuple[Camera, float
     """
     shown = printable(path)
     data = _json(Path(path), shown)
+    if isinstance(data, dict) and "frames" in data:
+        return [(camera, None) for camera in _transforms(Path(path), data)]
     entries = data if isinstance(data, list) else [data]
     if not entries:
         raise CameraError(f"{shown}: an empty list, expected at least one camera")
@@ -62,6 +79,68 @@ def load_timed_cameras(path: str | os.PathLike[str]) -> list[tuple[Camera, float
             raise CameraError(f"{shown}: camera {index}: {error}") from error
         cameras.append((camera, seconds))
     return cameras
+
+
+def cameras_beside(scene: Path) -> Path | None:
+    """The file of the cameras that belong to the scene in the file or folder ``scene``, if any.
+
+    INRIA's trainer leaves one two folders above the scene's.
+    """
+    place = scene.absolute()
+    for folder in (place, *place.parents[:3]):
+        for name in BESIDE:
+            if (folder / name).is_file():
+                return folder / name
+    return None
+
+
+def _transforms(path: Path, data: dict[str, Any]) -> list[Camera]:
+    """The cameras of a ``transforms.json``."""
+    shown = printable(path)
+    frames = data["frames"]
+    if not isinstance(frames, list) or not frames:
+        raise CameraError(f"{shown}: frames: expected a list of at least one camera")
+    world, scale = np.eye(4), 1.0
+    if path.name == BESIDE[1] and (path.parent / PARSED).is_file():
+        parsed = _json(path.parent / PARSED, printable(path.parent / PARSED))
+        if not isinstance(parsed, dict) or not {"transform", "scale"} <= parsed.keys():
+            raise CameraError(f"{printable(path.parent / PARSED)}: lacks transform or scale")
+        world[:3] = _numbers(parsed["transform"], "transform", (3, 4))
+        scale = float(_numbers(parsed["scale"], "scale", ()))
+    cameras = []
+    for index, frame in enumerate(frames):
+        try:
+            if not isinstance(frame, dict):
+                raise CameraError(f"expected an object, got {type(frame).__name__}")
+            cameras.append(_transformed({**data, **frame}, world, scale))
+        except CameraError as error:
+            raise CameraError(f"{shown}: frame {index}: {error}") from error
+    return cameras
+
+
+def _transformed(entry: dict[str, Any], world: F64, scale: float) -> Camera:
+    """One frame of a ``transforms.json``, moved by ``world`` [4, 4] and then scaled."""
+    missing = [key for key in ("transform_matrix", "w", "h") if key not in entry]
+    if missing:
+        raise CameraError(f"lacks {', '.join(missing)}")
+    width, height = _whole(entry["w"], "w"), _whole(entry["h"], "h")
+    if "fl_x" in entry:
+        fx = float(_numbers(entry["fl_x"], "fl_x", ()))
+    elif "camera_angle_x" in entry:
+        angle = float(_numbers(entry["camera_angle_x"], "camera_angle_x", ()))
+        fx = width / 2 / math.tan(angle / 2) if 0 < angle < math.pi else math.nan
+    else:
+        raise CameraError("lacks fl_x; expected that or camera_angle_x")
+    fy = float(_numbers(entry.get("fl_y", fx), "fl_y", ()))
+    cx = float(_numbers(entry.get("cx", width / 2), "cx", ()))
+    cy = float(_numbers(entry.get("cy", height / 2), "cy", ()))
+    placed = world @ (_numbers(entry["transform_matrix"], "transform_matrix", (4, 4)) * OPENGL)
+    placed[:3, 3] *= scale
+    rotation = placed[:3, :3].T
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = -rotation @ placed[:3, 3]
+    return Camera(viewmat, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), width, height)
 
 
 def load_camera(spec: str) -> Camera:

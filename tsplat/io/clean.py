@@ -275,6 +275,16 @@ def _judge(
     return ~bad
 
 
+def judged(
+    means: Floats, quats: Floats, scales: F32, opacities: Floats, sh: F32, *, wide: bool
+) -> NDArray[np.bool_]:
+    """[n] which Gaussians a :class:`SceneBuilder` that is ``wide`` would keep."""
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        lengths = _normalised(quats)[1]
+        limit = FLOAT32_MAX / 2 if wide else FLOAT32_MAX
+        return _judge(means, lengths, scales, opacities, sh, limit, Counter())
+
+
 def _normalised(quats: Floats) -> tuple[F64, F64]:
     """Unit quaternions, and their lengths before: 0 or not finite where there is none."""
     with np.errstate(divide="ignore", invalid="ignore", under="ignore"):

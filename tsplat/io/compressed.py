@@ -24,6 +24,7 @@ from tsplat.core.types import F32, F64, I32, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.clean import SceneBuilder
+from tsplat.io.says import says_antialias, says_up
 from tsplat.io.sweeps import Bytes, scene_of, typical
 from tsplat.io.table import DC, LEVELS, MEAN, OPACITY, QUAT, REST, SCALE, Tables
 
@@ -286,7 +287,10 @@ def read(path: Path, options: ReadOptions) -> Scene:
         chunks = chunk.read(file, 0, chunk.count)
         layout = Layout(chunks, 0 if sh is None else sh.columns)
         about = f"compressed PLY, {chunk.count} chunks, SH {REST_COUNTS.index(layout.rest)}"
-        return scene_of(path, Rows(file, vertex, sh), layout, options, about=about)
+        return scene_of(
+            path, Rows(file, vertex, sh), layout, options, about=about,
+            antialias=says_antialias(header.comments), up=says_up(header.comments),
+        )  # fmt: skip
 
 
 def recognises(start: bytes) -> bool:

@@ -12,7 +12,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ import numpy as np
 
 from tsplat.core.errors import OutputError, PluginError, printable
 from tsplat.core.types import U8, Frame
-from tsplat.io.images import Background, check_place, to_pixels, write_bytes
+from tsplat.io.images import Background, beside, check_place, to_pixels, write_bytes
 from tsplat.presenters.base import Presenter, Terminal, encoded
 
 if TYPE_CHECKING:
@@ -158,33 +158,19 @@ def write_film(
     )
     place = Path(os.path.realpath(path))
     try:
-        with _beside(place) as beside:
+        with beside(place) as other:
             if write is not None:
-                write(beside, film)
+                write(other, film)
             else:
                 assert glyphs is not None
-                _write_cast(beside, film, glyphs)
-            size = beside.stat().st_size
+                _write_cast(other, film, glyphs)
+            size = other.stat().st_size
     except (OutputError, PluginError):
         raise
     except OSError as error:
         reason = printable(error.strerror or error)
         raise OutputError(f"{printable(path)}: cannot be written: {reason}") from error
     return Written(film.count, 0, size)
-
-
-@contextmanager
-def _beside(place: Path) -> Iterator[Path]:
-    """A file that takes ``place`` in one step if all goes well, and is gone if not."""
-    beside = place.with_name(f".{place.stem[:200]}.{os.getpid()}.tmp{place.suffix}")
-    try:
-        beside.open("xb").close()  # with the mode the user's umask asks for
-        yield beside
-        beside.replace(place)
-    except BaseException:
-        with suppress(FileNotFoundError):
-            beside.unlink()
-        raise
 
 
 def _delays(film: Film, unit: int) -> list[int]:

@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F16, F64, I32, I64, Floats, Scene
+from tsplat.core.types import F16, F64, I32, I64, Floats, Scene, Up
 from tsplat.io.base import ReadOptions, refuse
 from tsplat.io.clean import SceneBuilder
 from tsplat.io.sweeps import scene_of
@@ -123,6 +123,7 @@ def gather(
     about: str,
     name: str | None = None,
     antialias: bool | None = None,
+    up: Up | None = None,
 ) -> Scene:
     """See :func:`tsplat.io.sweeps.scene_of`; the scene's name is the file's unless given.
 
@@ -130,8 +131,9 @@ def gather(
         SceneError: nothing can be drawn.
     """
     scene = scene_of(
-        path, _Numbers(source.count), _Layout(source), options, about=about, antialias=antialias
-    )
+        path, _Numbers(source.count), _Layout(source), options,
+        about=about, antialias=antialias, up=up,
+    )  # fmt: skip
     return replace(scene, name=printable(name)) if name else scene
 
 

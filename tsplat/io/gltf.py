@@ -23,8 +23,9 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from tsplat.core.constants import UPWARDS
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, F64, I64, Floats, Scene
+from tsplat.core.types import F32, F64, I64, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.fields import ITEMS_MAX, Field, parse
@@ -564,7 +565,8 @@ def read(path: Path, options: ReadOptions) -> Scene:
         about += ", scales are logarithms (draft of 2025)"
     for space in sorted(spaces - {DRAWN_AS_IS}):
         about += f", colours {space} (drawn as they are)"
-    return gather(path, source, options, about=about)
+    up = Up(UPWARDS, "y is up in glTF; turned to x right, y down, z forward")
+    return gather(path, source, options, about=about, up=up)
 
 
 def recognises(start: bytes) -> bool:

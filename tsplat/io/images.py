@@ -9,7 +9,8 @@ import io
 import os
 import stat
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -174,14 +175,21 @@ def write_bytes(path: str, data: bytes) -> None:
 
 def _replace(place: Path, data: bytes) -> None:
     """Puts a file at ``place`` in one step; what was there stays whole until then."""
-    beside = place.with_name(f".{place.name[:200]}.{os.getpid()}.tmp")
+    with beside(place) as other:
+        other.write_bytes(data)
+
+
+@contextmanager
+def beside(place: Path) -> Iterator[Path]:
+    """A file that takes ``place`` in one step if all goes well, and is gone if not."""
+    other = place.with_name(f".{place.stem[:200]}.{os.getpid()}.tmp{place.suffix}")
     try:
-        with beside.open("xb") as stream:  # with the mode the user's umask asks for
-            stream.write(data)
-        beside.replace(place)
+        other.open("xb").close()  # with the mode the user's umask asks for
+        yield other
+        other.replace(place)
     except BaseException:
         with suppress(FileNotFoundError):
-            beside.unlink()
+            other.unlink()
         raise
 
 

@@ -13,17 +13,18 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F64, I32, Floats, Scene
+from tsplat.core.types import F32, F64, I32, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io import native
 from tsplat.io.base import Read, Reader, ReadOptions, refuse
 from tsplat.io.clean import SceneBuilder
+from tsplat.io.says import says_antialias, says_up
 from tsplat.io.sweeps import scene_of
 
 if TYPE_CHECKING:
@@ -33,6 +34,9 @@ MEANS = ("x", "y", "z")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 SCALES = ("scale_0", "scale_1", "scale_2")
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+THICKNESS = SCALES[2]
+"""2D Gaussians, which are flat, are written without it."""
+
 NEEDED = (*MEANS, *DC, "opacity", *SCALES, *QUATS)
 TELLING = ("opacity", *DC, *SCALES, *QUATS)
 """Properties that only a file of Gaussians has."""
@@ -109,6 +113,16 @@ def sigmoid(logits: F64) -> F64:
         return 1 / (1 + np.exp(-logits))
 
 
+class Stored(NamedTuple):
+    """Some rows of a file as they are there."""
+
+    means: Floats  # [n, 3]
+    quats: Floats  # [n, 4]  w, x, y, z; any length
+    logs: Floats  # [n, 3]  of scales
+    logits: Floats  # [n]  of opacities
+    sh: F32  # [n, K, 3]
+
+
 class Layout:
     """Where the properties of a Gaussian stand in rows of ``dtype``."""
 
@@ -117,14 +131,19 @@ class Layout:
         self.coefficients = 1 + rest // 3
         self.wide = not all(np.can_cast(dtype[name], np.float32) for name in MEANS)
         self._means, self._quats = _columns(dtype, MEANS), _columns(dtype, QUATS)
-        self._scales, self._dc = _columns(dtype, SCALES), _columns(dtype, DC)
+        self._flat = THICKNESS not in (dtype.names or ())
+        self._scales = _columns(dtype, SCALES[:2] if self._flat else SCALES)
+        self._dc = _columns(dtype, DC)
         per_channel = rest // 3
         self._rest = [
             _columns(dtype, tuple(f"f_rest_{i}" for i in range(first, first + per_channel)))
             for first in (range(0, rest, per_channel) if rest else ())
         ]
         colours = [f"f_rest_{c * per_channel + k}" for k in range(per_channel) for c in range(3)]
-        self._decoder = native.decoder(dtype, (*MEANS, *QUATS, *SCALES, "opacity", *DC, *colours))
+        self._decoder = None
+        if not self._flat:
+            order = (*MEANS, *QUATS, *SCALES, "opacity", *DC, *colours)
+            self._decoder = native.decoder(dtype, order)
 
     def means(self, rows: NDArray[np.void]) -> Floats:
         """[n, 3] the positions of ``rows``, some of which may not be finite."""
@@ -139,19 +158,37 @@ class Layout:
         """
         if self._decoder and not raw_opacity and builder.decode(self._decoder, rows, to):
             return
-        sh = np.empty((len(rows), self.coefficients, 3), np.float32)
+        builder.add(*self.decoded(rows, raw_opacity), to)
+
+    def decoded(
+        self, rows: NDArray[np.void], raw_opacity: bool
+    ) -> tuple[Floats, Floats, F32, Floats, F32]:
+        """Means, quaternions, scales, opacities and coefficients of ``rows``; some not finite."""
+        found = self.stored(rows)
         # the builder drops what is not finite; what underflows is a point
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-            opacities = rows["opacity"].astype(np.float64)
-            means = self.means(rows)
-            quats = _floats(self._quats(rows))
-            scales = np.exp(self._scales(rows).astype(np.float64)).astype(np.float32)
+            opacities = found.logits.astype(np.float64)
+            scales = np.exp(found.logs.astype(np.float64)).astype(np.float32)
+        if self._flat:
+            scales = np.concatenate([scales, np.zeros((len(rows), 1), np.float32)], axis=1)
+        if not raw_opacity:
+            opacities = sigmoid(opacities)
+        return found.means, found.quats, scales, opacities, found.sh
+
+    def stored(self, rows: NDArray[np.void]) -> Stored:
+        """``rows`` as they stand in the file, float64 only where float32 does not hold them."""
+        sh = np.empty((len(rows), self.coefficients, 3), np.float32)
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             sh[:, 0] = self._dc(rows)
             for channel, columns in enumerate(self._rest):
                 sh[:, 1:, channel] = columns(rows)
-        if not raw_opacity:
-            opacities = sigmoid(opacities)
-        builder.add(means, quats, scales, opacities, sh, to)
+            return Stored(
+                self.means(rows),
+                _floats(self._quats(rows)),
+                _floats(self._scales(rows)),
+                _floats(rows["opacity"]),
+                sh,
+            )
 
 
 def check(path: Path, header: Header) -> Element:
@@ -178,7 +215,7 @@ def check(path: Path, header: Header) -> Element:
         name = printable(vertex.lists[0], 40)
         refuse(path, f"property {name} of element vertex is a list, expected a number")
     missing = [name for name in NEEDED if name not in vertex.properties]
-    if missing:
+    if missing not in ([], [THICKNESS]):
         refuse(
             path,
             f"element vertex lacks {', '.join(missing)}; "
@@ -203,7 +240,11 @@ def read(path: Path, options: ReadOptions) -> Scene:
     with plyrows.open_rows(path, header, options.progress) as rows:
         if header.text:  # reading it was the work
             options = replace(options, progress=_nothing)
-        return scene_of(path, rows, Layout(rows.dtype, rest), options)
+        return scene_of(
+            path, rows, Layout(rows.dtype, rest), options,
+            about="" if THICKNESS in vertex.properties else "ply of 2D Gaussians",
+            antialias=says_antialias(header.comments), up=says_up(header.comments),
+        )  # fmt: skip
 
 
 def _load() -> Read:

@@ -73,6 +73,11 @@ class Header:
         """The element of that name."""
         return next((e for e in self.elements if e.name == name), None)
 
+    @property
+    def comments(self) -> list[str]:
+        """What follows the word ``comment`` in each such line."""
+        return [line[8:].decode("ascii") for line in self.lines if line.startswith(b"comment ")]
+
     def __len__(self) -> int:
         """Bytes, up to the first row."""
         return sum(map(len, self.lines)) + len(self.lines) * len(self.line_end)

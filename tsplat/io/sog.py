@@ -224,8 +224,7 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
         sizes = [np.exp(log).astype(np.float32) for log in logs]
         hues = [color.astype(np.float32) for color in colors]
         source = Splats(count, positions, sizes, hues, opacities, palette, pixels)
-    smooth = meta.maybe("antialias")
-    antialias = smooth.value if smooth is not None and isinstance(smooth.value, bool) else None
+    antialias = _antialias(meta)
     degree = 0 if palette is None else DEGREES[PER_ROW * palette.shape[1]]
     about = f"sog {1 if old else 2}, SH {degree}{', antialiased' if antialias else ''}"
     bundle = path.name != META
@@ -234,6 +233,14 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
         about=about if bundle else f"{about}, unbundled",
         antialias=antialias, name=path.name if bundle else path.absolute().parent.name,
     )  # fmt: skip
+
+
+def _antialias(meta: Field) -> bool | None:
+    """What ``antialias`` says, or, in newer files, ``model``."""
+    smooth, model = meta.maybe("antialias"), meta.maybe("model")
+    if smooth is not None and isinstance(smooth.value, bool):
+        return smooth.value
+    return None if model is None else model.value == "antialiased"
 
 
 def _listed(field: Field, key: str) -> bool:

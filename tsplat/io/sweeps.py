@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
-from tsplat.core.types import I32, Floats, Scene
+from tsplat.core.types import I32, Floats, Scene, Up
 from tsplat.core.workspace import default_threads
 from tsplat.io import curve
 from tsplat.io.base import SAMPLED, ReadOptions, refuse, sample_rows
@@ -215,10 +215,11 @@ def scene_of(
     *,
     about: str = "",
     antialias: bool | None = None,
+    up: Up | None = None,
 ) -> Scene:
     """The scene of all ``rows`` of the file at ``path``, or of ``options.max_splats`` of them.
 
-    ``about`` and ``antialias`` become ``Scene.source`` and ``Scene.antialias``.
+    ``about`` becomes ``Scene.source``.
 
     Raises:
         SceneError: none of them can be drawn, or opacities are logits that were said not to be.
@@ -236,4 +237,4 @@ def scene_of(
         reasons = ", ".join(f"{r}: {n}" for r, n in found)
         refuse(path, f"none of its Gaussians can be drawn ({reasons})")
     scene = builder.build(printable(path.name), numbers=numbers)
-    return replace(scene, source=about, antialias=antialias)
+    return replace(scene, source=about, antialias=antialias, up=up)

@@ -33,10 +33,14 @@ from tsplat.terminal.sharing import Sharing, is_remote
 PROBE_SECONDS = 0.15  # for the first answer, on this machine
 REMOTE_SECONDS = 1.5  # for the first answer over a network
 ANSWERING_SECONDS = 2.0  # for the last answer, once there is a first
+TMUX_SECONDS = 1.0  # for what tmux itself is asked by its command
+ATTACH_SECONDS = 3.0  # for tmux to show a new session in its terminal
+ATTACH_GAP = 0.05  # s between two looks at that
 ENTER_ALTERNATE = b"\x1b[?1049h"
 LEAVE_ALTERNATE = b"\x1b[?1049l"
 STRING_END = b"\x1b\\"  # ST
 PLAIN = b"\x1b[m"  # SGR 0
+CLEAR = PLAIN + b"\x1b[2J\x1b[H"
 READ_SIZE = 1 << 16
 
 Attributes = list[Any]  # what termios.tcgetattr returns
@@ -102,6 +106,21 @@ def write_all(fd: int, data: bytes, seconds: float | None = None) -> bool:
             if end is None:
                 select.select([], [fd], [])
     return True
+
+
+def cleared(terminal: Terminal) -> bytes:
+    """What leaves nothing on the screen, kitty's pictures included; the cursor at its top left."""
+    return scrolled_out(terminal) + CLEAR
+
+
+def scrolled_out(terminal: Terminal) -> bytes:
+    """What takes sixel pictures off the screen of an xterm; b"" for others.
+
+    xterm (379 and 412) keeps those that are covered or erased, and goes through their px for
+    each character that it writes: 0.2 to 0.5 s a screenful. It passes by what has left the screen.
+    """
+    keeps = terminal.sixel and terminal.name.startswith("XTerm(")
+    return b"\x1b[%dS" % terminal.rows if keeps else b""  # SU
 
 
 def open_patient(fd: int) -> int | None:
@@ -172,6 +191,8 @@ class Heard:
     typed: bytes = b""  # keys pressed meanwhile
     around: bytes = b""  # what the terminal around tmux said
     features: str = ""  # what tmux believes of it
+    owed: int = 0  # answers to DA1 that have not come, though tmux lets that through
+    asked: int = 0  # bytes of the questions
 
     def terminal(self, environ: Mapping[str, str], winsize: Winsize) -> Terminal:
         """The facts in it."""
@@ -185,15 +206,19 @@ def ask(
 
     Where the environment tells of a multiplexer, kitty's questions wait for the answer: tmux
     would take them for a title. Inside tmux the terminal around it is asked, past tmux; its answers
-    are typed into this pane. Where tmux lets nothing through, that costs ``seconds`` once more.
+    are typed into this pane. Where tmux lets nothing through and does not say so, that costs
+    ``seconds`` once more. The first program of a new session is quicker than tmux, which shows it
+    in a terminal only later: that is waited for.
     """
 
     def exchange(questions: Iterable[bytes]) -> None:
-        write_all(fd_out, b"".join(questions), seconds)
+        asked.append(b"".join(questions))
+        write_all(fd_out, asked[-1], seconds)
         found, keys = split_answers(read_answers(fd_in, seconds))
         answers.append(found)
         typed.append(keys)
 
+    asked: list[bytes] = []
     answers: list[bytes] = []
     typed: list[bytes] = []
     if not multiplexer("", environ):
@@ -203,28 +228,50 @@ def ask(
     mux = multiplexer(name_in(answers[0]), environ)
     if mux == "tmux":
         through = KITTY_QUESTION, *sharing.questions(), XTVERSION, DA1
-        exchange(map(through_tmux, through))
-        return Heard(answers[0], b"".join(typed), answers[1], tmux_features(environ))
+        begun = time.monotonic()
+        first = now = ask_tmux(environ)
+        while not now.attached and time.monotonic() < begun + ATTACH_SECONDS:
+            time.sleep(ATTACH_GAP)
+            now = ask_tmux(environ)
+        if now.attached and now.passes is not False:
+            exchange(map(through_tmux, through))
+            if not first.attached and not DA1_ANSWER.search(answers[-1]):  # its first moments
+                exchange(map(through_tmux, through))
+        around = b"".join(answers[1:])
+        late = sum(DA1_ANSWER.search(found) is None for found in answers)
+        owed, size = late if now.passes else 0, sum(map(len, asked))
+        return Heard(answers[0], b"".join(typed), around, now.features, owed, size)
     if not mux and multiplexer("", environ):  # a window that was opened from inside one
         exchange((KITTY_QUESTION, *sharing.questions(), DA1))
-    return Heard(b"".join(answers), b"".join(typed))
+    return Heard(b"".join(answers), b"".join(typed), asked=sum(map(len, asked)))
 
 
-def tmux_features(environ: Mapping[str, str]) -> str:
-    """What tmux believes of the terminal it is in: "256,RGB,sixel,title" or so; "" if unknown."""
-    if not environ.get("TMUX"):  # tmux on another machine
-        return ""
+@dataclass(frozen=True)
+class Tmux:
+    """What tmux says of our session; as it stands here where it cannot be asked."""
+
+    attached: bool = True  # to a terminal
+    passes: bool | None = None  # whether it lets questions through to that
+    features: str = ""  # what it believes of it: "256,RGB,sixel,title" or so
+
+
+def ask_tmux(environ: Mapping[str, str]) -> Tmux:
+    """By its own command, which knows more than a tmux on another machine could tell."""
+    if not environ.get("TMUX"):
+        return Tmux()
     import subprocess
 
-    command = "tmux", "display-message", "-p", "#{client_termfeatures}"
+    facts = "#{session_attached},#{allow-passthrough},#{client_termfeatures}"
     try:
         said = subprocess.run(
-            command, env=dict(environ), stdin=subprocess.DEVNULL, capture_output=True, text=True,
-            timeout=PROBE_SECONDS, check=True,
+            ("tmux", "display-message", "-p", facts), env=dict(environ), stdin=subprocess.DEVNULL,
+            capture_output=True, text=True, timeout=TMUX_SECONDS, check=True,
         )  # fmt: skip
     except (OSError, ValueError, subprocess.SubprocessError):
-        return ""
-    return said.stdout.strip()
+        return Tmux()
+    attached, passes, features = (said.stdout.strip() + ",,").split(",", 2)
+    known = passes not in ("", "0", "off")  # 3.3: 0 or 1; later: off, on or all
+    return Tmux(attached != "0", known if passes else None, features.rstrip(","))
 
 
 def probe(

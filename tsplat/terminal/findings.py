@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from tsplat.core.errors import printable
@@ -14,29 +14,82 @@ from tsplat.terminal.sharing import QUESTION_IDS
 
 NOTHING = "no answer"
 
-# Begin of the name, lower case -> what it says that is not so, or does not say that is.
-# Measured with the versions named, read in their sources, or reported.
-LIARS = {
+Done = str | Callable[[Terminal], str]
+
+
+def _other(terminal: Terminal) -> str:
+    others = [name for name in ("iterm2", "sixel") if getattr(terminal, name)]
+    return f"{others[0]} is chosen before kitty" if others else "nothing: there is no other way"
+
+
+def _cell(terminal: Terminal) -> str:
+    return f"the smaller cell is believed: {terminal.cell_width:.4g}x{terminal.cell_height:.4g} px"
+
+
+def _mouse(terminal: Terminal) -> str:
+    return (
+        "believed to, by its version" if terminal.pixel_mouse else "nothing: this version is older"
+    )
+
+
+def _releases(terminal: Terminal) -> str:
+    if not terminal.keyboard:
+        return "nothing: this one tells no releases"
+    return "a release counts after 20 ms; one that fits no press ends all keys"
+
+
+def _colours(terminal: Terminal) -> str:
+    if terminal.colors == 1 << 24:
+        return "24 bits are sent: it, or its environment, says that it keeps them"
+    return f"{terminal.colors} colours are sent"
+
+
+def _listed(terminal: Terminal) -> str:
+    if terminal.sixel:
+        return "the terminal around is asked, and does not say that it has none"
+    return "no sixel is sent"
+
+
+def _covered(terminal: Terminal) -> str:
+    if not terminal.sixel:
+        return "nothing: this one shows no sixel"
+    return "pictures are scrolled out whenever the screen is cleared"
+
+
+# Begin of the name, lower case -> what it says that is not so, or does not say that is; and what is
+# done about it. Measured with the versions named, read in their sources, or reported.
+LIARS: dict[str, tuple[tuple[str, Done], ...]] = {
     "konsole": (
-        "answers kitty's query with OK, but has neither placeholders nor animation (source)",
-        "takes synchronized output (2026 on) and does not answer the question for it",
-        "counts its scroll marker in: 904 px for 90 columns of 10 (26.08)",
-        "tells the mouse in px (26.08) and does not answer the question for it",
-        "tells a repeat as a release and a press, and of Shift and / two keys (26.08)",
+        ("answers kitty's query with OK, but has neither placeholders nor animation (source)",
+         lambda terminal: f"neither is used; {_other(terminal)}"),
+        ("takes synchronized output (2026 on) and does not answer the question for it",
+         "each frame is sent as such an update, to all terminals"),
+        ("counts its scroll marker in: 904 px for 90 columns of 10 (26.08)", _cell),
+        ("tells the mouse in px (26.08) and does not answer the question for it", _mouse),
+        ("tells a repeat as a release and a press, and of Shift and / two keys (26.08)", _releases),
     ),
     "wezterm": (
-        "answers kitty's query with OK, then grows and freezes under moving pictures (issue 7400)",
+        ("answers kitty's query with OK, then grows and freezes under moving pictures (issue 7400)",
+         _other),
     ),
-    "iterm2": ("answers kitty's query with OK; a=T without an id was long broken",),
-    "xterm.js": ("rounds its cell: 9.63 px are told as 10",),
-    "xterm(": ("keeps 24-bit colours and sets no COLORTERM",),
-    "mlterm": ("3.9.0 runs out of colours when sent 24 bits of them, and shows speckles",),
+    "iterm2": (("answers kitty's query with OK; a=T without an id was long broken", _other),),
+    "xterm.js": (("rounds its cell: 9.63 px are told as 10", _cell),),
+    "xterm(": (
+        ("keeps 24-bit colours and sets no COLORTERM", _colours),
+        ("looks through sixel pictures long covered for each letter: 0.3 s a screenful", _covered),
+    ),
+    "mlterm": (
+        ("3.9.0 runs out of colours when sent 24 bits of them, and shows speckles", _colours),
+    ),
     "tmux": (
-        "lists sixel (3.4 on, where built with it) whatever the terminal around it has",
-        "takes kitty's query for a window title",
+        ("lists sixel (3.4 on, where built with it) whatever the terminal around it has", _listed),
+        ("takes kitty's query for a window title", "the terminal around is asked, past tmux"),
     ),
-    "ghostty": ("kept the last frame's picture under the new one before 2026-08",),
-}
+    "ghostty": (
+        ("kept the last frame's picture under the new one before 2026-08",
+         "pictures are sent opaque: what is under one is not seen"),
+    ),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -145,9 +198,17 @@ def findings(
     for prefix, lies in LIARS.items():
         for name in filter(None, (terminal.name, terminal.around)):
             if name.lower().startswith(prefix):
-                for lie in lies:
-                    row(f"known of {prefix.strip('(')}", lie, "taken into account")
+                for lie, done in lies:
+                    row(f"known of {prefix.strip('(')}", lie, _done(done, name, terminal))
     return rows
+
+
+def _done(done: Done, name: str, terminal: Terminal) -> str:
+    """What is done about it. Of a terminal around tmux only the placeholders are used."""
+    if name == terminal.around:
+        shows = terminal.kitty and terminal.placeholders
+        return "only placeholders are sent past tmux" if shows else "no pictures are sent past tmux"
+    return done if isinstance(done, str) else done(terminal)
 
 
 def _found(pattern: bytes, data: bytes) -> str:

@@ -12,6 +12,7 @@ import re
 import signal
 import termios
 import time
+import tty
 from collections.abc import Iterator, Mapping
 
 from tsplat.presenters.base import Terminal
@@ -22,13 +23,18 @@ from tsplat.terminal.device import (
     ask,
     can_show,
     raw_mode,
+    read_answers,
+    set_attributes,
     window_size,
     write_all,
 )
 from tsplat.terminal.sharing import Sharing
 
 ASK_SECONDS = 1.0
-"""For all answers. There is no later moment to take late ones in: a shell would get them."""
+"""For all answers: a picture can be drawn in one way only."""
+
+LATE_SECONDS = 4.0
+"""For answers that come too late to be of use, by when tmux may be expected to have passed them."""
 
 SPARE_ROWS = 2
 """Free below a picture: a sixel picture leaves the cursor one row below itself, Konsole's two."""
@@ -41,34 +47,47 @@ NUDGE_SECONDS = 0.02
 _HELD = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP)
 
 
-def ask_here(
+@contextlib.contextmanager
+def asked_here(
     fd_in: int, fd_out: int, environ: Mapping[str, str], seconds: float = ASK_SECONDS
-) -> Terminal:
+) -> Iterator[Terminal]:
     """The terminal's facts, asked for without leaving its main screen.
 
     What it prints of a question that it does not understand is erased again. The tty's mode is
     restored whatever happens: signals wait until then. Of keys typed meanwhile Ctrl-C counts;
-    others are lost.
+    others are lost. Answers that are late are taken in during the ``with`` block, or a shell would
+    get them; those that tmux owes are waited for until ``LATE_SECONDS`` after the question.
 
     Raises:
         KeyboardInterrupt: Ctrl-C was typed.
         OSError: the terminal is gone.
     """
     if not can_show(fd_in, fd_out, environ):
-        return Terminal(tty=False)
+        yield Terminal(tty=False)
+        return
+    begun = time.monotonic()
     with _signals_held(), raw_mode(fd_in):
         write_all(fd_out, SAVE_CURSOR, seconds)
         sharing = Sharing(environ)
         try:
             heard = ask(fd_in, fd_out, environ, sharing, seconds)
-            if not DA1_ANSWER.search(heard.answers):  # what comes now is nobody's
-                termios.tcflush(fd_in, termios.TCIFLUSH)
         finally:
             sharing.close()
             write_all(fd_out, RESTORE_CURSOR + ERASE_BELOW, seconds)
     if b"\x03" in heard.typed:
         raise KeyboardInterrupt
-    return heard.terminal(environ, window_size(fd_out))
+    facts = heard.terminal(environ, window_size(fd_out))
+    if DA1_ANSWER.search(heard.answers) and not heard.owed:
+        yield facts
+        return
+    saved = termios.tcgetattr(fd_in)
+    tty.setcbreak(fd_in, termios.TCSANOW)  # nothing is echoed; Ctrl-C still ends us
+    try:
+        yield facts
+        for _ in range(heard.owed):
+            read_answers(fd_in, begun + LATE_SECONDS - time.monotonic())
+    finally:
+        set_attributes(fd_in, saved)
 
 
 @contextlib.contextmanager

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import math
 import os
+import re
 import select
 import signal
 import termios
@@ -18,7 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -33,15 +35,16 @@ from tsplat.terminal.device import (
     PLAIN,
     READ_SIZE,
     STRING_END,
+    cleared,
+    scrolled_out,
 )
 from tsplat.terminal.events import Decoder, Event
-from tsplat.terminal.link import Flight, Link
+from tsplat.terminal.link import Flight, Link, joined
 from tsplat.terminal.sharing import Sharing
 
 BEGIN_UPDATE = b"\x1b[?2026h"  # BSU: unknown to some, harmless to all; Konsole has it untold
 END_UPDATE = b"\x1b[?2026l"  # ESU
 HOME = b"\x1b[H"
-CLEAR = b"\x1b[m\x1b[2J" + HOME
 HIDE_CURSOR, SHOW_CURSOR = b"\x1b[?25l", b"\x1b[?25h"
 # Kitty's keyboard protocol, on a stack that each screen has of its own: 2 tells releases, 8 those
 # of letters, too; 16 tells the text, 4 the letter with Shift, 1 is what these are built upon
@@ -55,7 +58,10 @@ STATUS_REPORT = b"\x1b[5n"  # DSR, answered CSI 0 n once all before it is done
 ESCAPE_SECONDS = 0.05  # a lone ESC older than this is the Escape key
 FRAME_SECONDS = 1.0  # a frame is given up that a terminal has not acknowledged which never did
 SLOWEST = 5e3  # bytes/s: for each 5 kB of such a frame a second more
+PASSED = 1e5  # likewise, of one that answers past tmux on this machine; tmux may lose either
 PATIENCE_SECONDS = 20.0  # and of one that did: the line is slow, or the network away for a while
+PARTED = 4  # parts, or it is not worth while to have them answered one by one
+PART_BEGINS = re.compile(rb"(?<!\x1b)\x1b[\[_P\]]")  # where a sequence does, within none
 BURST_SECONDS = 0.01  # what ``max_rate`` allows in that time goes at once
 PIECE = 256  # bytes; a tty that can be written to takes so many without a long wait
 LEAVE_SECONDS = 0.15  # for what is still under way when we leave
@@ -66,12 +72,35 @@ GIVE_UPS = 3  # unanswered frames in a row before we stop to ask
 _DEADLY = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 
 
+def in_parts(payload: bytes, size: float) -> list[bytes]:
+    """``payload`` cut where its sequences begin, each part of ``size`` bytes or a little more.
+
+    Whole if there would be fewer than ``PARTED``.
+    """
+    parts, begin = [], 0
+    if len(payload) >= PARTED * size:
+        least = max(1, int(size))
+        while found := PART_BEGINS.search(payload, begin + least, len(payload) - least):
+            parts.append(payload[begin : found.start()])
+            begin = found.start()
+    return [*parts, payload[begin:]]
+
+
 class Terminated(SystemExit):
     """A deadly signal came. Goes up like SystemExit and ends the process with 128 + signal."""
 
     def __init__(self, signum: int) -> None:
         super().__init__(128 + signum)
         self.signum = signum
+
+
+@dataclass
+class _Update:
+    """A tracked frame, of so many parts that are answered."""
+
+    parts: int
+    flights: list[Flight] = field(default_factory=list)  # of those that were
+    begun: float = 0.0  # s, monotonic: the first of them
 
 
 class Screen:
@@ -132,8 +161,10 @@ class Screen:
         self._unanswered = self._overdue = self._given_up = 0  # status reports
         self._sent = self._heard = 0.0  # s, monotonic: last output of a tracked frame, last input
         self._answered = False  # a status report, ever
+        self._lost = False  # one past tmux, since the last key
         self.link = Link()
         self.flights: deque[Flight] = deque()  # of frames acknowledged, until somebody takes them
+        self._updates: deque[_Update] = deque()  # tracked, on their way
         self._to_tell = False  # a tracked frame was drawn, and no "ready" has come since
         self._nudges: deque[float] = deque()  # s, monotonic, when something harmless is sent
         self._patient: int | None = None  # writes to it do not block
@@ -194,7 +225,7 @@ class Screen:
         device.write_all(self._out, ENTER_ALTERNATE)
 
     def _set_modes(self) -> None:
-        device.write_all(self._out, HIDE_CURSOR + self._switched() + CLEAR)
+        device.write_all(self._out, HIDE_CURSOR + self._switched() + cleared(self.terminal))
 
     def _wanted(self) -> tuple[tuple[bytes, bytes], ...]:
         """The modes that this terminal is to have, in the order in which they are undone."""
@@ -226,7 +257,7 @@ class Screen:
         self._said = heard.answers
         self._answering = DA1_ANSWER.search(self._said) is not None
         if self._answering:
-            self.link.pinged(time.monotonic() - begun)
+            self.link.pinged(time.monotonic() - begun, heard.asked)
         self._understand()
         self._queue += self._decoder.feed(heard.typed)
 
@@ -248,6 +279,7 @@ class Screen:
         undo = STRING_END if self._rest else b""  # of a picture that is sent in part
         self._rest.clear()
         undo += END_UPDATE + STRING_END + self.cleanup + self._undone()
+        undo += scrolled_out(self.terminal)  # else the next program there would be slow
         undo += PLAIN + SHOW_CURSOR + LEAVE_ALTERNATE
         seconds = BUSY_SECONDS if self._answered and self._answering else LEAVE_SECONDS
         try:
@@ -281,6 +313,7 @@ class Screen:
         self._set_modes()
         self._unanswered = self._overdue = 0
         self.link.lost()
+        self._updates.clear()
         self._resize()
 
     def _resize(self) -> None:
@@ -342,8 +375,9 @@ class Screen:
         with self._interruptible():
             self._rest.append(memoryview(data))
             while self._rest:
-                self._pump()
-                if self._rest and time.monotonic() < self._held_until:
+                waits = self._held_until < math.inf  # no answer is heard here
+                self._pump(waits)
+                if self._rest and waits and time.monotonic() < self._held_until:
                     time.sleep(BURST_SECONDS)
                 elif self._rest:
                     select.select([], [self._writable], [])
@@ -358,11 +392,14 @@ class Screen:
     def _writable(self) -> int:
         return self._out if self._patient is None else self._patient
 
-    def _pump(self) -> None:
-        """Writes what the tty takes without being waited for, or a piece of it if it must be."""
+    def _pump(self, waits: bool = True) -> None:
+        """Writes what the tty takes without being waited for, or a piece of it if it must be.
+
+        What is to wait only if it ``waits``.
+        """
         while self._rest:
             now = time.monotonic()
-            if now < self._held_until:
+            if waits and now < self._held_until:
                 return
             part = int(max(PIECE, min(len(self._rest[0]), self.link.room(now))))
             if self.max_rate:
@@ -395,8 +432,11 @@ class Screen:
         if not self._rest:
             return False
         self._rest.clear()
-        asked = self.link.cut()  # else its question has been sent
-        self._send(STRING_END + END_UPDATE + PLAIN + STATUS_REPORT * asked)
+        dropped = self.link.cut()  # None: its question has been sent
+        if dropped:
+            self._unanswered -= dropped
+            self._updates[-1].parts -= dropped
+        self._send(STRING_END + END_UPDATE + PLAIN + STATUS_REPORT * (dropped is not None))
         return True
 
     def post(self, event: Event) -> None:
@@ -406,10 +446,12 @@ class Screen:
 
     def clear(self) -> None:
         """Nothing on the screen, cursor at its top left. Pictures of kitty's go, too."""
-        self._send(CLEAR)
+        self._send(cleared(self.terminal))
 
     def draw(self, payload: bytes, track: bool = True) -> None:
         """One synchronized update, from the top left cell on; b"" writes nothing.
+
+        Where the link is slow a large picture, if it is of many sequences, is several of them.
 
         Returns at once; what the tty does not take now is written while events are read. With
         ``track`` the terminal is asked to report when it is through: see ``busy`` and ``flight``.
@@ -424,12 +466,20 @@ class Screen:
         if not track:
             self._send(data)
         elif self._answering:
-            self._unanswered, self._sent, self._to_tell = self._unanswered + 1, now, True
             # tmux would answer at once, however far behind the terminal around it is
-            through = self.terminal.kitty and self.terminal.around
-            data += through_tmux(STATUS_REPORT) if through else STATUS_REPORT
-            self.link.begin(now, len(data), sum(map(len, self._rest)))
-            self._send(data)
+            question = through_tmux(STATUS_REPORT) if self._passed else STATUS_REPORT
+            parts = [
+                BEGIN_UPDATE + part + END_UPDATE + question
+                for part in in_parts(HOME + payload, self.link.part)
+            ]
+            self._sent, self._to_tell = now, True
+            self._unanswered += len(parts)
+            self._updates.append(_Update(len(parts)))
+            behind = sum(map(len, self._rest))
+            for part in parts:
+                self.link.begin(now, len(part), behind)
+                behind += len(part)
+            self._send(b"".join(parts))
         else:
             self._queue.append(Event("ready"))
             self._send(data)
@@ -462,9 +512,19 @@ class Screen:
         return max(0.0, min(self._sent + self._limit - now, wait))
 
     @property
+    def _passed(self) -> bool:
+        """Whether pictures, and questions about them, go past a tmux, which may lose them.
+
+        It was seen to, now and then (3.3a); and answers go to the pane that keys go to. So after a
+        loss tmux itself is asked, until a key comes.
+        """
+        return self.terminal.kitty and bool(self.terminal.around) and not self._lost
+
+    @property
     def _limit(self) -> float:
         if self._answered:
-            return PATIENCE_SECONDS
+            local = self._passed and not self.far
+            return FRAME_SECONDS + self.link.under_way / PASSED if local else PATIENCE_SECONDS
         return FRAME_SECONDS + self.link.under_way / SLOWEST
 
     # --- input
@@ -495,10 +555,12 @@ class Screen:
                 ends.append(time.monotonic() + self.free_in)
         if self._decoder.pending:
             ends.append(self._heard + ESCAPE_SECONDS)
-        held_back = bool(self._rest) and time.monotonic() < self._held_until
-        if held_back:
-            ends.append(self._held_until)
+        opens = self._held_until
+        held_back = bool(self._rest) and time.monotonic() < opens
         writable = [self._writable] if self._rest and not held_back else []
+        held_back = held_back and opens < math.inf  # else an answer comes first
+        if held_back:
+            ends.append(opens)
         limit = max(0.0, min(ends) - time.monotonic()) if ends else None
         wake = self._wake[0] if self._wake is not None else self._in
         watched = [] if self.watched is None else [self.watched]
@@ -529,7 +591,9 @@ class Screen:
         for event in events:
             if event.kind == "resize":
                 self._take_size(event)
-            elif event.kind != "ready":
+                continue
+            self._lost &= event.kind not in ("key", "mouse")
+            if event.kind != "ready":
                 self._queue.append(event)
             elif self._overdue:
                 self._overdue -= 1  # of a frame given up: it is slow, but it answers
@@ -539,7 +603,7 @@ class Screen:
                 self._unanswered, self._given_up = self._unanswered - 1, 0
                 self._answered = True
                 if flight := self.link.answered(self._heard):
-                    self.flights.append(flight)
+                    self._take_flight(flight)
                 if not self.busy:
                     self._to_tell = False
                     self._queue.append(event)
@@ -551,6 +615,16 @@ class Screen:
                     self._answering = True
                     self._understand()
                     self._queue.append(Event("terminal"))
+
+    def _take_flight(self, flight: Flight) -> None:
+        """A part got through, and by that perhaps all of them."""
+        update = self._updates[0]
+        if not update.flights:
+            update.begun = self._heard - flight.seconds
+        update.flights.append(flight)
+        if len(update.flights) == update.parts:
+            self._updates.popleft()
+            self.flights.append(joined(update.flights, self._heard - update.begun))
 
     def _take_size(self, told: Event) -> None:
         """A size told in-band, if it is one, and news: SIGWINCH may have been here before."""
@@ -566,12 +640,15 @@ class Screen:
         if self._decoder.pending and now >= self._heard + ESCAPE_SECONDS:
             self._queue += self._decoder.flush()
             self._heard = now
-        if self._unanswered and now >= self._sent + self._limit:
-            self._overdue, self._unanswered = self._overdue + self._unanswered, 0
+        if self._unanswered and now >= self._sent + self._limit and self._passed:
+            self._lost = True
+            self._give_up()  # it does not come any more, nor may the picture have come
+            self._queue.append(Event("resize"))
+        elif self._unanswered and now >= self._sent + self._limit:
+            self._overdue += self._unanswered
             self._given_up += 1
             self._answering = self._given_up < GIVE_UPS
-            self.link.lost()
-            self._to_tell = False
+            self._give_up()
             self._queue.append(Event("ready"))
         elif self._to_tell and not self.busy:
             self._to_tell = False
@@ -580,6 +657,13 @@ class Screen:
             while self._nudges and now >= self._nudges[0]:
                 self._nudges.popleft()
             self._send(PLAIN)
+
+    def _give_up(self) -> None:
+        """Waits no longer for the answers to frames that are on their way."""
+        self._unanswered = 0
+        self._updates.clear()
+        self.link.lost()
+        self._to_tell = False
 
     def _deal_with_notes(self) -> None:
         noted, self._noted = self._noted, set()

@@ -86,6 +86,14 @@ def draw(picture: Picture, engine: Engine, keep: bool) -> Drawn:
     )  # fmt: skip
 
 
+def _cell(presenter: Presenter, terminal: Terminal) -> tuple[int, int]:
+    """Px of a picture that a cell shows, each way; 1 if they are not in whole cells."""
+    pixel, (width, height) = presenter.pixel(terminal), presenter.size(terminal)
+    wide = max(1, round(terminal.cell_width / pixel[0]))
+    high = max(1, round(terminal.cell_height / pixel[1]))
+    return (1, 1) if width % wide or height % high else (wide, high)
+
+
 def encode(drawn: Drawn, before: Drawn | None) -> Encoded:
     """The bytes for a screen that shows ``before``; None: nothing, or who knows what.
 
@@ -99,12 +107,10 @@ def encode(drawn: Drawn, before: Drawn | None) -> Encoded:
     write = presenter.fill if few and presenter.fill is not None else presenter.encode
     begins = False
     if picture.shades is not None:
-        if presenter.fill or (before and before.picture.size != picture.size):
-            kept = None
-        else:
-            kept = before.frame if before else None
-        drawn.frame = shaded(drawn.frame, picture.shades, kept)
-        begins = presenter.fill is None and kept is None
+        kept = before.frame if before and presenter.fill is None else None
+        drawn.frame = shaded(drawn.frame, picture.shades, kept, _cell(presenter, terminal))
+        fresh = before is None or before.picture.size != picture.size
+        begins = presenter.fill is None and fresh
         registers = min(terminal.sixel_registers, picture.shades)
         terminal = replace(terminal, sixel_registers=registers)
     with failures_named(presenter):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from tsplat.terminal import Event
 from tsplat.terminal.device import PLAIN
@@ -18,6 +19,7 @@ MARKS = 4  # columns of "< >" about the chosen value
 NOTCH = 3  # lines that the wheel scrolls
 MORE_ROWS = 4  # at least, for one of them to say that there are more
 MORE = "  more below"
+KEPT = 512  # rows, and lines, that are not worked out again; several times those of a panel
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class _Stop:
     """A row that can be chosen: one that can be set, or any of a section that only says."""
 
     key: str  # no other has it
-    row: Row = field(compare=False)
+    row: Row
 
 
 _Sections = list[tuple[str, list[tuple[Row, _Stop | None]]]]
@@ -34,7 +36,7 @@ _Sections = list[tuple[str, list[tuple[Row, _Stop | None]]]]
 @dataclass(frozen=True)
 class _Line:
     text: str
-    stop: _Stop | None = None  # that it belongs to
+    key: str | None = None  # of the stop that it belongs to
     value: int | None = None  # column where the value begins; None: there is none on this line
     title: bool = False
 
@@ -81,10 +83,11 @@ class Panel:
         if _more(lines, top, area) and row == area.rows - 1:
             return self._scrolled(max(1, area.rows - 2), view, facts, area), view
         line = lines[top + row] if top + row < len(lines) else None
-        if line is None or line.stop is None:
+        if line is None or line.key is None:
             return self, view
         stops = _stops(view, facts)
-        there = replace(self._at(stops, stops.index(line.stop)), top=top)
+        place = [stop.key for stop in stops].index(line.key)
+        there = replace(self._at(stops, place), top=top)
         across = event.x - area.left
         if line.value is None or across < line.value:
             return there.seen(view, facts, area), view
@@ -99,7 +102,10 @@ class Panel:
     def lines(self, view: View, facts: Facts, area: Area) -> list[bytes]:
         """``area.rows`` lines, each as wide as the area, without their places."""
         lines, top, chosen = self._shown(view, facts, area)
-        out = [_bytes(line, area.columns, chosen) for line in lines[top : top + area.rows]]
+        out = [
+            _bytes(line, area.columns, line.key == chosen.key)
+            for line in lines[top : top + area.rows]
+        ]
         out += [padded("", area.columns).encode()] * (area.rows - len(out))
         if _more(lines, top, area):
             out[-1] = padded(MORE, area.columns).encode()
@@ -139,7 +145,7 @@ class Panel:
         top = min(self.top, most)
         if self.loose:
             return lines, top, chosen
-        mine = [i for i, line in enumerate(lines) if line.stop == chosen]
+        mine = [i for i, line in enumerate(lines) if line.key == chosen.key]
         first, last, room = mine[0], mine[-1], area.rows
         if room >= MORE_ROWS:
             room -= 1  # the last one may be taken
@@ -183,34 +189,36 @@ def _lines(every: _Sections, view: View, facts: Facts, columns: int, chosen: _St
     for title, rows in every:
         out.append(_Line(title, title=True))
         for row, stop in rows:
-            out += _row_lines(row, stop, row.text(view, facts), columns, stop == chosen)
+            key, words = stop.key if stop else None, row.text(view, facts)
+            out += _row_lines(row.name, row.step is not None, key, words, columns, stop == chosen)
     return out
 
 
-def _row_lines(row: Row, stop: _Stop | None, words: str, columns: int, chosen: bool) -> list[_Line]:
+@lru_cache(maxsize=KEPT)
+def _row_lines(
+    name: str, can_be_set: bool, key: str | None, words: str, columns: int, chosen: bool
+) -> tuple[_Line, ...]:
     """Name and value beside each other; below each other where they do not fit."""
-    if row.step is not None:
+    if can_be_set:
         words = f"< {words} >" if chosen else f"  {words}"
-    beside = columns - NAME - (0 if row.step else 2)
+    beside = columns - NAME - (0 if can_be_set else 2)
     if beside >= VALUE:
-        parts = [words] if row.step else wrapped(words, beside)
-        names = [row.name] + [""] * (len(parts) - 1)
-        gap = NAME - 2 if row.step else NAME
-        value = NAME if row.step else None
-        return [
-            _Line("  " + padded(name, gap) + part, stop, value)
-            for name, part in zip(names, parts, strict=True)
-        ]
-    value_columns = width(words) + (0 if chosen or not row.step else 2)  # as wide when chosen
-    if 1 + width(row.name) + 1 + value_columns <= columns:
+        parts = [words] if can_be_set else wrapped(words, beside)
+        names = [name] + [""] * (len(parts) - 1)
+        gap = NAME - 2 if can_be_set else NAME
+        value = NAME if can_be_set else None
+        return tuple(
+            _Line("  " + padded(left, gap) + part, key, value)
+            for left, part in zip(names, parts, strict=True)
+        )
+    value_columns = width(words) + (0 if chosen or not can_be_set else 2)  # as wide when chosen
+    if 1 + width(name) + 1 + value_columns <= columns:
         at = columns - value_columns
-        return [_Line(padded(f" {row.name}", at) + words, stop, at if row.step else None)]
-    lines = [_Line(f" {row.name}", stop)]
-    if row.step:
-        lines.append(_Line(" " + words, stop, 0))
-    else:
-        lines += [_Line("   " + part, stop) for part in wrapped(words, max(1, columns - 3))]
-    return lines
+        return (_Line(padded(f" {name}", at) + words, key, at if can_be_set else None),)
+    if can_be_set:
+        return _Line(f" {name}", key), _Line(" " + words, key, 0)
+    parts = wrapped(words, max(1, columns - 3))
+    return _Line(f" {name}", key), *(_Line("   " + part, key) for part in parts)
 
 
 def _more(lines: Sequence[_Line], top: int, area: Area) -> bool:
@@ -218,7 +226,8 @@ def _more(lines: Sequence[_Line], top: int, area: Area) -> bool:
     return area.rows >= MORE_ROWS and top + area.rows < len(lines)
 
 
-def _bytes(line: _Line, columns: int, chosen: _Stop) -> bytes:
+@lru_cache(maxsize=KEPT)
+def _bytes(line: _Line, columns: int, chosen: bool) -> bytes:
     shown = padded(line.text, columns).encode()
-    style = BOLD if line.title else REVERSE if line.stop == chosen else b""
+    style = BOLD if line.title else REVERSE if chosen else b""
     return style + shown + PLAIN if style else shown

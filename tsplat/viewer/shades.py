@@ -12,16 +12,23 @@ import numpy as np
 from tsplat.core.types import F32, Frame
 
 
-def shaded(frame: Frame, shades: int, before: Frame | None) -> Frame:
+def shaded(
+    frame: Frame, shades: int, before: Frame | None, cell: tuple[int, int] = (1, 1)
+) -> Frame:
     """``frame`` in so many shades of each channel, black and white among them.
 
-    Pixels that ``before``, which is on the screen, shows with less than a shade's error stay as
-    they are there.
+    Cells, of ``cell`` px each way, that ``before``, which is on the screen, shows with less than a
+    shade's error in each pixel stay as they are there. ``frame`` is of whole cells.
     """
     steps = np.float32(shades - 1)
     shown: F32 = np.clip(frame.rgb, 0, 1).astype(np.float32)
     rgb: F32 = np.rint(shown * steps) / steps
     if before is not None and before.rgb.shape == frame.rgb.shape:
-        near = (np.abs(shown - before.rgb) < 1 / steps).all(-1, keepdims=True)
-        rgb = np.where(near, before.rgb, rgb).astype(np.float32)
+        near = np.all(np.abs(shown - before.rgb) < 1 / steps, axis=-1)
+        wide, high = cell
+        if cell != (1, 1):
+            rows, columns = near.shape[0] // high, near.shape[1] // wide
+            cells = near.reshape(rows, high, columns, wide).all((1, 3))
+            near = cells.repeat(high, 0).repeat(wide, 1)
+        rgb = np.where(near[..., None], before.rgb, rgb).astype(np.float32)
     return Frame(rgb, frame.transmittance)

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 
 from tsplat.core.errors import printable
 from tsplat.presenters.base import Terminal
-from tsplat.terminal.device import PLAIN
+from tsplat.terminal.device import PLAIN, cleared
 from tsplat.viewer.controls import HELP
 
 BOLD = b"\x1b[1m"
 REVERSE = b"\x1b[7m"  # SGR 7: seen in any colours, and in none
 CLEAR_LINE = b"\x1b[K"
-CLEAR_SCREEN = b"\x1b[2J\x1b[H"
 MORE = "up and down: more"
 LONGEST = 1000  # characters that are wrapped
 KEYS = 13  # columns of the help page before what the keys do
@@ -135,7 +134,7 @@ def help_page(terminal: Terminal, top: int = 0) -> bytes:
     ]
     if len(every) > room:
         rows.append(cup(terminal.rows) + fitted(MORE, terminal.columns - 1).encode())
-    return PLAIN + CLEAR_SCREEN + b"".join(rows)
+    return cleared(terminal) + b"".join(rows)
 
 
 def help_top(top: int, terminal: Terminal) -> int:
