@@ -77,6 +77,16 @@ def test_damaged_files_are_refused_or_read(tmp_path, reader):
     assert 0 < counts["scenes"] < counts["executions"]
 
 
+def test_files_that_change_while_they_are_read():
+    """Cut or grown between two of the times that they are opened: a Scene or a refusal."""
+    found = json.loads(python("tests.fuzz.cut"))
+    assert set(found) == set(seeds.READERS)
+    for counts in found.values():
+        assert counts["faults"] == []
+        assert counts["refused"] >= 5, "some cuts came in time"
+        assert counts["read"] >= 5, "some came too late"
+
+
 def test_counts_go_on_from_where_they_were(tmp_path):
     """A second run adds to the first, up to a total; the table shows it."""
     for total in ("60", "90"):
