@@ -251,6 +251,10 @@ def test_numbers_at_both_ends_of_float64_are_no_warning(tmp_path):
         meta[part]["mins"], meta[part]["maxs"] = [-1.7e308] * 3, [1.7e308] * 3
         (tmp_path / "a").write_bytes(sogwriter.bundle(meta, images))
         assert "none of its Gaussians can be drawn" in refusal(tmp_path / "a")
+    meta, images, _ = sogwriter.random_scene(4, 0, 1)
+    meta["sh0"]["mins"][3] = meta["sh0"]["maxs"][3] = 1e300
+    (tmp_path / "a").write_bytes(sogwriter.bundle(meta, images))
+    assert "so they are logits" in refusal(tmp_path / "a", raw_opacity=True)
 
 
 @pytest.mark.skipif(not spzwriter.HAVE_ZSTD, reason=spzwriter.NO_ZSTD)

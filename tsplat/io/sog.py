@@ -198,7 +198,8 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
     if old:
         logs = [_linear(*span) for span in _spans(scales, 3)]
         *colors, logits = [_linear(*span) for span in _spans(sh0, 4)]
-        opacities = (logits if options.raw_opacity else _sigmoid(logits)).astype(np.float32)
+        with np.errstate(over="ignore"):  # beyond 0..1: the builder drops it
+            opacities = (logits if options.raw_opacity else _sigmoid(logits)).astype(np.float32)
     else:
         logs, colors = [_codebook(scales)] * 3, [_codebook(sh0)] * 3
         opacities = ALPHAS
