@@ -132,6 +132,37 @@ def test_bands_and_samples_are_left_out(tmp_path, capsys):
     assert np.array_equal(out.sh[:, 1:, 2], table[rows, 9 + 30 : 9 + 33])
 
 
+def test_a_sample_of_a_file_with_rows_that_cannot_be_drawn(tmp_path, capsys):
+    """Sampled, dropped and cut rows at once: the others are still the file's own."""
+    x = np.random.default_rng(3).normal(size=20_000)
+    x[::7] = np.nan
+    table = inria(tmp_path / "a.ply", 20_000, 0, x=x)
+    out = tmp_path / "b.ply"
+    options = ["--max-splats", "9000", "--crop", "-1,-9,-9,9,9,9"]
+    found = facts(capsys, tmp_path / "a.ply", out, *options)
+    assert set(found["left_out"]) == {"beyond max_splats", "mean not finite", "outside --crop"}
+    assert sum(found["left_out"].values()) + found["rows_out"] == found["rows_in"] == 20_000
+    assert all(e["worst"] == 0 for e in found["fields"].values())
+    made = np.frombuffer(out.read_bytes().split(b"end_header\n", 1)[1], "<f4").reshape(-1, 17)
+    place = {row.tobytes(): i for i, row in enumerate(table)}
+    rows = [place[row.tobytes()] for row in made]
+    assert rows == sorted(rows)
+    assert len(rows) == found["rows_out"]
+
+
+def test_doubles_stay_doubles_where_that_matters(tmp_path, capsys):
+    """Positions 1e7 from zero with a size of 1e-3: the PLY has the very float64s of the file."""
+    from tests.io.plywriter import write_ply
+
+    columns = raw_columns(50, 0)
+    columns |= {"x": columns["x"] + 1e7, **{f"scale_{i}": np.full(50, -7.0) for i in range(3)}}
+    types = dict.fromkeys("xyz", "double")
+    write_ply(tmp_path / "a.ply", columns, types=types)
+    found = facts(capsys, tmp_path / "a.ply", tmp_path / "b.ply")
+    assert any("positions are doubles" in note for note in found["not_held"])
+    assert np.array_equal(by_plyfile(tmp_path / "b.ply").means[:, 0], columns["x"])
+
+
 @pytest.mark.parametrize("fmt", ["ply", "compressed.ply", "splat", "spz"])
 def test_the_summary_is_what_was_measured(tmp_path, capsys, fmt):
     """Rows, bytes, errors of fields and pictures, in JSON and in words."""

@@ -315,6 +315,9 @@ def test_antialiasing_and_up_are_kept_where_the_format_says_them(tmp_path, smoot
         assert (back.up and back.up.direction) == said
         assert any("antialiasing" in note for note in written.notes) == (fmt == "splat")
         assert any("told so" in note for note in written.notes) == (fmt in ("splat", "spz"))
+    object.__setattr__(scene, "up", Up((0.0, -2.0, 0.0), "told so"))
+    notes = save_scene(scene, tmp_path / "a.spz", force=True).notes
+    assert not any("told so" in note for note in notes), "that is what SPZ's axes say"
 
 
 def test_what_is_clipped_is_counted(tmp_path):

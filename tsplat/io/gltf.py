@@ -23,9 +23,8 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from tsplat.core.constants import UPWARDS
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, F64, I64, Floats, Scene, Up
+from tsplat.core.types import F32, F64, I64, UPWARDS, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.fields import ITEMS_MAX, Field, parse

@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tsplat.core.constants import UPWARDS
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, I64, U8, Floats, Scene, Up
+from tsplat.core.types import F32, I64, U8, UPWARDS, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, check_memory, refuse, refuse_raw_opacity
 from tsplat.io.gather import (
@@ -446,8 +445,10 @@ def read(path: Path, options: ReadOptions) -> Scene:
     options = stretch(options, UNPACKING, 1)
     turn = Turn(axes(system))
     about = head.about if system == DEFAULT else f"{head.about}, axes {system}"
-    told = "an SPZ file's" if system == DEFAULT else "the file says that its"
-    up = Up(UPWARDS, f"{told} axes are {system}; turned to x right, y down, z forward")
+    told = f"an SPZ file's axes are {system} (not every writer heeds that)"
+    if system != DEFAULT:
+        told = f"the file says that its axes are {system}"
+    up = Up(UPWARDS, f"{told}; turned to x right, y down, z forward")
     return gather(
         path, Splats(head, planes, turn), options, about=about, antialias=head.antialiased, up=up
     )
