@@ -29,10 +29,6 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from tsplat.core.types import Scene
 
 LOAD = r"""
 import re, sys, time, tsplat
@@ -108,6 +104,7 @@ def pictures(paths: list[Path]) -> list[str]:
 
     import tsplat
     from tsplat.core.constants import SH_C0
+    from tsplat.io.turn import half_turned
     from tsplat.testing.compare import psnr
 
     first = tsplat.load_scene(paths[0])
@@ -128,19 +125,6 @@ def pictures(paths: list[Path]) -> list[str]:
         mark = "" if frame is frames[0] else " (turned)"
         cells.append(f"{psnr(frame, wanted):.1f}{mark} | {psnr(frame, fitting):.1f}")
     return cells
-
-
-def half_turned(scene: Scene) -> Scene:
-    """``scene`` turned by 180 degrees about x."""
-    import numpy as np
-
-    from tsplat.io.turn import Turn
-
-    turn = Turn(np.diag([1.0, -1.0, -1.0]))
-    return replace(
-        scene, means=turn.means(scene.means), quats=turn.quats(scene.quats),
-        sh=turn.sh(scene.sh.copy()), origin=scene.origin * [1, -1, -1],
-    )  # fmt: skip
 
 
 def million(folder: Path) -> list[Path]:

@@ -17,6 +17,7 @@ from PIL import Image
 
 from tests.conftest import ROOT, gaussians, straight
 from tests.io import spzwriter
+from tsplat.cli import main
 from tsplat.commands.info import describe
 from tsplat.core import reference
 from tsplat.core.params import RenderParams
@@ -37,6 +38,22 @@ def tsplat(*words, code=0, **kwargs):
     assert result.returncode == code, result.stderr.decode()
     assert b"Traceback" not in result.stderr
     return result
+
+
+@pytest.fixture
+def here(capsys):
+    """Runs the command line in this process; what it said on stdout and stderr."""
+
+    def run(*words, code=0):
+        try:
+            got = main([str(word) for word in words])
+        except SystemExit as left:  # argparse's
+            got = left.code
+        said = capsys.readouterr()
+        assert got == code, said.err
+        return said.out, said.err
+
+    return run
 
 
 @pytest.fixture(scope="module")
@@ -191,15 +208,15 @@ def test_info_describes_the_file(ply):
     assert "content" in text
 
 
-def test_info_names_the_level_of_a_ksplat(ply, tmp_path):
+def test_info_names_the_level_of_a_ksplat(ply, tmp_path, here):
     """What reads the file, and what matters of the format."""
     from tests.io.splatwriter import drawn, write_ksplat
 
     path = tmp_path / "a.ksplat"
     write_ksplat(path, [(drawn(50, 2), 2)], 1)
     for file, name in ((ply, "ply"), (path, "ksplat level 1, SH 2")):
-        assert json.loads(tsplat("info", file, "--json").stdout)["format"] == name
-        assert re.search(rf"format +{name} *\n", tsplat("info", file).stdout.decode())
+        assert json.loads(here("info", file, "--json")[0])["format"] == name
+        assert re.search(rf"format +{name} *\n", here("info", file)[0])
 
 
 @pytest.fixture(scope="module")
@@ -212,12 +229,12 @@ def smooth(tmp_path_factory):
     return path
 
 
-def test_antialiasing_is_what_the_file_says(smooth, ply, tmp_path):
+def test_antialiasing_is_what_the_file_says(smooth, ply, tmp_path, here):
     """Without a word it is on where the file says so; --no-antialias and --antialias overrule."""
 
     def picture(*words):
         out = tmp_path / "out.npy"
-        tsplat("render", *words, "-o", out, "--size", "64x48")
+        here("render", *words, "-o", out, "--size", "64x48")
         return np.load(out)
 
     said, on, off = (
@@ -230,24 +247,24 @@ def test_antialiasing_is_what_the_file_says(smooth, ply, tmp_path):
     assert (picture(ply) == picture(ply, "--no-antialias")).all()
 
 
-def test_info_names_the_format(smooth, ply):
+def test_info_names_the_format(smooth, ply, here):
     """Format, version and what matters of it; of a PLY, its reader's name."""
-    facts = json.loads(tsplat("info", smooth, "--json").stdout)
+    facts = json.loads(here("info", smooth, "--json")[0])
     assert (facts["format"], facts["antialias"]) == ("spz 3, SH 1, antialiased", True)
-    assert "spz 3, SH 1, antialiased" in tsplat("info", smooth).stdout.decode()
-    facts = json.loads(tsplat("info", ply, "--json").stdout)
+    assert "spz 3, SH 1, antialiased" in here("info", smooth)[0]
+    facts = json.loads(here("info", ply, "--json")[0])
     assert (facts["format"], facts["antialias"]) == ("ply", None)
 
 
-def test_up_is_known_or_said(ply, tmp_path):
+def test_up_is_known_or_said(ply, tmp_path, here):
     """From a comment, from cameras beside the file, or not at all; --up and --flip-y overrule."""
 
     def known(path):
-        return json.loads(tsplat("info", path, "--json").stdout)["up"]
+        return json.loads(here("info", path, "--json")[0])["up"]
 
     def picture(path, *words):
         out = tmp_path / "out.npy"
-        tsplat("render", path, *words, "-o", out, "--size", "64x48")
+        here("render", path, *words, "-o", out, "--size", "64x48")
         return np.load(out)
 
     content = ply.read_bytes()  # beside other cameras
@@ -273,31 +290,31 @@ def test_up_is_known_or_said(ply, tmp_path):
     np.testing.assert_array_equal(picture(beside, "--up=-y"), picture(beside, "--flip-y"))
     (tmp_path / "transforms.json").write_text("{")
     assert known(beside)["direction"] == [0, -1, 0]
-    told = tsplat("render", ply, "--up", "z", "--flip-y", "-o", "x.png", code=1)
-    assert b"leave one out" in told.stderr
-    told = tsplat("render", ply, "--up", "up", "-o", "x.png", code=2)
-    assert b"expected x, -x, y, -y, z, -z or three numbers" in told.stderr
+    told = here("render", ply, "--up", "z", "--flip-y", "-o", "x.png", code=1)[1]
+    assert "leave one out" in told
+    told = here("render", ply, "--up", "up", "-o", "x.png", code=2)[1]
+    assert "expected x, -x, y, -y, z, -z or three numbers" in told
 
 
-def test_filters_are_of_every_command(ply, tmp_path):
+def test_filters_are_of_every_command(ply, tmp_path, here):
     """info counts what they leave out; render draws the rest; check and bench take the rest."""
     words = ("--min-opacity", "0.4", "--max-scale", "0.2", "--trim", "2")
-    facts = json.loads(tsplat("info", ply, "--json", *words).stdout)
+    facts = json.loads(here("info", ply, "--json", *words)[0])
     assert facts["gaussians"] + sum(facts["dropped"].values()) == 300
     assert set(facts["dropped"]) == {
         "below --min-opacity 0.4", "above --max-scale 0.2", "outside --trim 2",
     }  # fmt: skip
     made = json.loads(
-        tsplat("render", ply, *words, "-o", tmp_path / "a.png", "--size", "40x30", "--json").stdout
+        here("render", ply, *words, "-o", tmp_path / "a.png", "--size", "40x30", "--json")[0]
     )
     assert made["gaussians"] == facts["gaussians"]
     table = json.loads(
-        tsplat("check", ply, *words, "--backend", "cffi", "--size", "40x30", "--json").stdout
+        here("check", ply, *words, "--backend", "cffi", "--size", "40x30", "--json")[0]
     )
     assert table["gaussians"] == facts["gaussians"]
     for command in (("render", ply, "-o", tmp_path / "a.png"), ("check", ply), ("bench", ply)):
-        told = tsplat(*command, "--max-scale", "1e-9", code=1)
-        assert b"nothing is left of 300 Gaussians (max_scale=1e-09); filter less" in told.stderr
+        told = here(*command, "--max-scale", "1e-9", code=1)[1]
+        assert "nothing is left of 300 Gaussians (max_scale=1e-09); filter less" in told
 
 
 def test_info_says_where_rows_lie(scene):
@@ -308,18 +325,18 @@ def test_info_says_where_rows_lie(scene):
     assert facts["bytes"] - before["bytes"] == 4 * len(scene)
 
 
-def test_info_says_how_far_off_colours_are(ply):
+def test_info_says_how_far_off_colours_are(ply, here):
     """float16 and its price by default; float32 and none if asked for."""
-    facts = json.loads(tsplat("info", ply, "--json").stdout)
+    facts = json.loads(here("info", ply, "--json")[0])
     assert facts["sh_dtype"] == "float16"
     assert 0 < facts["sh_error_levels"] < 0.25
     price = f"{facts['sh_error_levels']:.2g} of an 8-bit level"
     assert (
         price in {item["what"]: item["effect"] for item in facts["left_out"]}["SH beyond float16"]
     )
-    text = " ".join(tsplat("info", ply).stdout.decode().split())
+    text = " ".join(here("info", ply)[0].split())
     assert f"SH in float16: largest colour error {price} or less" in text
-    full = json.loads(tsplat("info", ply, "--sh-float32", "--json").stdout)
+    full = json.loads(here("info", ply, "--sh-float32", "--json")[0])
     assert full["sh_dtype"] == "float32"
     assert full["sh_error_levels"] == 0
     assert full["bytes"] - facts["bytes"] == 300 * 4 * 3 * 2
@@ -550,16 +567,16 @@ def test_bench_prints_a_table_and_writes_its_files(ply, tmp_path):
     assert not facts["interrupted"]
 
 
-def test_bench_refuses_what_it_cannot_do_before_it_measures(ply, tmp_path):
+def test_bench_refuses_what_it_cannot_do_before_it_measures(ply, tmp_path, here):
     """A suffix it cannot draw, no such folder, a screen that is none, a wrong setting."""
     for words, told in (
-        (("-o", tmp_path / "a.gif"), b"expected a name in .png or .svg"),
-        (("--csv", tmp_path / "no" / "a.csv"), b"cannot write in"),
-        (("--show",), b"--show needs a terminal"),
-        (("--set", "speed=2"), b"expected NAME=VALUE"),
-        (("--backend", "nosuch"), b"nosuch"),
+        (("-o", tmp_path / "a.gif"), "expected a name in .png or .svg"),
+        (("--csv", tmp_path / "no" / "a.csv"), "cannot write in"),
+        (("--show",), "--show needs a terminal"),
+        (("--set", "speed=2"), "expected NAME=VALUE"),
+        (("--backend", "nosuch"), "nosuch"),
     ):
-        assert told in tsplat("bench", ply, *words, code=1).stderr
+        assert told in here("bench", ply, *words, code=1)[1]
 
 
 def test_bench_keeps_what_is_done_on_ctrl_c(ply):

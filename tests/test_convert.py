@@ -20,8 +20,9 @@ from tests.conftest import gaussians, hear_signals
 from tests.io.plywriter import BIG, LITTLE, TEXT, raw_columns
 from tests.io.realdata import needs_data
 from tests.io.writing import by_plyfile, check, drawn
-from tsplat import load_scene, save_scene
+from tsplat import load_scene, render, save_scene
 from tsplat.cli import main
+from tsplat.core.camera import look_at
 from tsplat.core.errors import OutputError
 from tsplat.io.write.source import Source
 from tsplat.quality.converted import angles, field_errors, picture_errors, standard_views
@@ -129,6 +130,37 @@ def test_bands_and_samples_are_left_out(tmp_path, capsys):
     assert rows == sorted(rows)
     # f_rest is channel-major: of 45, a channel's first three
     assert np.array_equal(out.sh[:, 1:, 2], table[rows, 9 + 30 : 9 + 33])
+
+
+def test_a_sample_of_a_file_with_rows_that_cannot_be_drawn(tmp_path, capsys):
+    """Sampled, dropped and cut rows at once: the others are still the file's own."""
+    x = np.random.default_rng(3).normal(size=20_000)
+    x[::7] = np.nan
+    table = inria(tmp_path / "a.ply", 20_000, 0, x=x)
+    out = tmp_path / "b.ply"
+    options = ["--max-splats", "9000", "--crop", "-1,-9,-9,9,9,9"]
+    found = facts(capsys, tmp_path / "a.ply", out, *options)
+    assert set(found["left_out"]) == {"beyond max_splats", "mean not finite", "outside --crop"}
+    assert sum(found["left_out"].values()) + found["rows_out"] == found["rows_in"] == 20_000
+    assert all(e["worst"] == 0 for e in found["fields"].values())
+    made = np.frombuffer(out.read_bytes().split(b"end_header\n", 1)[1], "<f4").reshape(-1, 17)
+    place = {row.tobytes(): i for i, row in enumerate(table)}
+    rows = [place[row.tobytes()] for row in made]
+    assert rows == sorted(rows)
+    assert len(rows) == found["rows_out"]
+
+
+def test_doubles_stay_doubles_where_that_matters(tmp_path, capsys):
+    """Positions 1e7 from zero with a size of 1e-3: the PLY has the very float64s of the file."""
+    from tests.io.plywriter import write_ply
+
+    columns = raw_columns(50, 0)
+    columns |= {"x": columns["x"] + 1e7, **{f"scale_{i}": np.full(50, -7.0) for i in range(3)}}
+    types = dict.fromkeys("xyz", "double")
+    write_ply(tmp_path / "a.ply", columns, types=types)
+    found = facts(capsys, tmp_path / "a.ply", tmp_path / "b.ply")
+    assert any("positions are doubles" in note for note in found["not_held"])
+    assert np.array_equal(by_plyfile(tmp_path / "b.ply").means[:, 0], columns["x"])
 
 
 @pytest.mark.parametrize("fmt", ["ply", "compressed.ply", "splat", "spz"])
@@ -367,3 +399,24 @@ def test_splat_transform_reads_what_is_written(tmp_path, fmt):
     made = tmp_path / "made.ply"
     subprocess.run([TOOL, "-q", tmp_path / f"a.{fmt}", made], check=True, capture_output=True)
     check(fmt, scene, by_plyfile(made), written)
+
+
+def test_a_scene_on_its_head_is_turned(tmp_path, capsys):
+    """--flip-y turns by 180 degrees about x: the picture of a camera that was turned with it."""
+    inria(tmp_path / "a.ply", 200, 3)
+    told = facts(capsys, tmp_path / "a.ply", tmp_path / "b.ply", "--flip-y")
+    assert not told["exact"]
+    before, after = load_scene(tmp_path / "a.ply"), load_scene(tmp_path / "b.ply")
+    np.testing.assert_allclose(after.means, before.means * [1, -1, -1], rtol=1e-6)
+    eye, target, up = np.array([1.0, -2, -5]), np.array([0.2, 0.1, 0]), np.array([0.0, -1, 0.3])
+    turned = np.array([1, -1, -1])
+    pictures = [
+        render(scene, look_at(eye * by, target * by, up * by, 50, 64, 48)).rgb
+        for scene, by in ((before, np.ones(3)), (after, turned), (after, np.ones(3)))
+    ]
+    np.testing.assert_allclose(pictures[0], pictures[1], atol=1e-4)
+    assert np.abs(pictures[0] - pictures[2]).max() > 0.1
+    facts(capsys, tmp_path / "b.ply", tmp_path / "c.ply", "--flip-y")
+    again = load_scene(tmp_path / "c.ply")
+    np.testing.assert_array_equal(again.means, before.means)
+    np.testing.assert_allclose(again.sh, before.sh, atol=1e-6)

@@ -87,6 +87,7 @@ examples:
   tsplat convert scene.spz scene.ply --json | jq .pictures.psnr_worst
   tsplat convert scene.ply small.splat --crop -2,-2,-2,2,2,2 --min-opacity 0.02
   tsplat convert scene.ply scene.spz --format-version 2 --fractional-bits 14 --sh-bits 8
+  tsplat convert headlong.spz upright.ply --flip-y
   tsplat convert scene.sog out.bin --to ply --force --no-measure
 
 The suffix says which format: .ply (INRIA's), .compressed.ply (PlayCanvas'), .splat
@@ -518,6 +519,10 @@ def make_parser() -> argparse.ArgumentParser:
         help="of harmonics of degree 1, and of higher ones, 1 to 8 (5,4)",
     )  # fmt: skip
     _add_reading(convert)
+    convert.add_argument(
+        "--flip-y", action="store_true",
+        help="turn the scene by 180 degrees about x, if it stands on its head",
+    )  # fmt: skip
     _add_edits(convert, "what they cut is left out of the file")
     measuring = convert.add_argument_group("measuring")
     measuring.add_argument(

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsplat.core.camera import Camera, Orbit
-from tsplat.core.constants import FAR, NEAR, UPWARDS
+from tsplat.core.constants import FAR, NEAR
 from tsplat.core.errors import CameraError
-from tsplat.core.types import F64, I64, Scene, Up
+from tsplat.core.types import F64, I64, UPWARDS, Scene, Up
 
 SAMPLE = 32_768
 """Gaussians looked at; a percentile of that many is within 0.6 % of the whole scene's."""

@@ -23,7 +23,7 @@ from tests.io.realdata import DATA, manifest, needs_data
 from tests.io.spzwriter import HAVE_ZSTD, NO_ZSTD
 from tsplat.core.errors import SceneError
 from tsplat.io import load_scene
-from tsplat.io.turn import Turn, axes
+from tsplat.io.turn import Turn, axes, half_turned
 
 # every file of these formats there that is refused, and why; what is not here must load
 REFUSED = {
@@ -173,17 +173,6 @@ def psnr(first, second):
     return -10 * np.log10(max(np.square(off).mean(), 1e-20))
 
 
-def turned(scene):
-    """Half a turn about x, which takes RUB to RDF and back."""
-    from dataclasses import replace
-
-    turn = Turn(axes("RUB"))
-    return replace(
-        scene, means=turn.means(scene.means), quats=turn.quats(scene.quats),
-        sh=np.ascontiguousarray(turn.sh(scene.sh.astype(np.float32))),
-    )  # fmt: skip
-
-
 @needs_data
 @pytest.mark.parametrize(("path", "ply", "least", "left"), TWINS)
 def test_the_picture_is_that_of_the_ply(path, ply, least, left):
@@ -197,11 +186,11 @@ def test_the_picture_is_that_of_the_ply(path, ply, least, left):
     zstd(path)
     wanted, made = load_scene(DATA / ply), load_scene(DATA / path)
     if left:
-        made = turned(made)
+        made = half_turned(made)
     camera = tsplat.frame_scene(wanted, 320, 200)
     picture = tsplat.render(wanted, camera)
     assert psnr(tsplat.render(made, camera), picture) > least
-    assert psnr(tsplat.render(turned(made), camera), picture) < least - 10
+    assert psnr(tsplat.render(half_turned(made), camera), picture) < least - 10
 
 
 @needs_data

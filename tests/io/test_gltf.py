@@ -215,7 +215,7 @@ def changed(*path, value=None):
 PRIMITIVE = ("meshes", 0, "primitives", 0)
 GOOD = one(random_arrays(3, 1)).glb()
 CASES = {
-    "short": (b"glTF" + bytes(9), "a GLB header has 20 bytes, the file 13"),
+    "short": (b"glTF" + bytes(9), "GLB header: expected 20 bytes, got 13"),
     "version 1": (b"glTF\1" + bytes(40), r"GLB version 1 \(byte 4\), expected 2"),
     "cut": (GOOD[:-1], r"truncated: its header promises \d+ bytes, the file has \d+; copy"),
     "no json": (GOOD[:16] + b"BIN\0" + GOOD[20:], "whose first chunk .* is no JSON"),

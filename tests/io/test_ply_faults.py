@@ -47,7 +47,7 @@ CASES = {
     "nearly ply": (b"plywood\n", "unknown format"),
     "only ply": (b"ply\n", "without an end_header line anywhere; the file is damaged"),
     "no end": (HEAD + b"comment x\n" * 99, "without an end_header line anywhere"),
-    "endless": (HEAD + b"comment x\n" * 200_000, "without an end_header line in its first 1048576"),
+    "endless": (HEAD + b"comment x\n" * 200_000, "without an end_header line in its first 131072"),
     "binary header": (b"ply\n" + bytes(range(256)) * 9 + b"\nend_header\n", "cannot be read: line"),
     "no format": (b"ply\nelement vertex 1\nend_header\n", "cannot be read: line 2"),
     "no vertex": (HEAD + b"element face 0\nend_header\n", "without an element vertex.*: face"),
@@ -82,7 +82,7 @@ CASES = {
     "many lists first": (
         HEAD + b"element face 2000000\nproperty list uchar int i\n" + header()[len(HEAD) :]
         + bytes(2_000_100),
-        "2000000 rows of lists before the vertices, expected at most 1000000",
+        "2000000 rows of lists before the vertices, expected at most 65536",
     ),
 }  # fmt: skip
 

@@ -204,7 +204,7 @@ def test_an_archive_of_images_without_meta(tmp_path):
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("holiday.webp", b"x")
     (tmp_path / "a.zip").write_bytes(buffer.getvalue())
-    assert "without meta.json, which a SOG has; it holds holiday.webp" in refusal(
+    assert "without meta.json, expected a SOG's; it holds holiday.webp" in refusal(
         tmp_path / "a.zip"
     )
 

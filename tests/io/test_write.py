@@ -311,10 +311,13 @@ def test_antialiasing_and_up_are_kept_where_the_format_says_them(tmp_path, smoot
         written = save_scene(scene, tmp_path / f"a.{fmt}")
         back = load_scene(tmp_path / f"a.{fmt}")
         assert back.antialias is (None if fmt == "splat" else smooth)
-        assert (back.up is not None) == fmt.endswith("ply")
-        assert back.up is None or back.up.direction == (0.0, 0.125, -1.0)
+        said = {"splat": None, "spz": (0.0, -1.0, 0.0)}.get(fmt, (0.0, 0.125, -1.0))
+        assert (back.up and back.up.direction) == said
         assert any("antialiasing" in note for note in written.notes) == (fmt == "splat")
-        assert any("told so" in note for note in written.notes) == (back.up is None)
+        assert any("told so" in note for note in written.notes) == (fmt in ("splat", "spz"))
+    object.__setattr__(scene, "up", Up((0.0, -2.0, 0.0), "told so"))
+    notes = save_scene(scene, tmp_path / "a.spz", force=True).notes
+    assert not any("told so" in note for note in notes), "that is what SPZ's axes say"
 
 
 def test_what_is_clipped_is_counted(tmp_path):

@@ -68,12 +68,17 @@ def _convert(arguments: argparse.Namespace, writer: Writer, options: WriteOption
     begin = time.perf_counter()
     path = Path(arguments.scene)
     scene = load_unedited(arguments, exact=True)
+    if arguments.flip_y:
+        from tsplat.io.turn import half_turned
+
+        scene = half_turned(scene)
     loaded = time.perf_counter()
     bytes_in = _bytes_in(path)
     degree = writer.degree if arguments.sh_degree is None else arguments.sh_degree
     source = Source(scene, degree=degree, edits=edits(arguments))
     with ExitStack() as stack:
-        if writer.name == "ply" and _is_inria(scene) and not arguments.raw_opacity:
+        as_is = not (arguments.raw_opacity or arguments.flip_y)
+        if writer.name == "ply" and _is_inria(scene) and as_is:
             verbatim = Verbatim(path, source, arguments.max_splats)
             source.verbatim = stack.enter_context(verbatim)
         progress = stack.enter_context(progress_bar(f"writing {arguments.output}"))
@@ -120,6 +125,8 @@ def _measured(arguments: argparse.Namespace, done: Done) -> Measured:
 def _own_cameras(arguments: argparse.Namespace) -> list[Camera]:
     from tsplat.commands.view import scene_cameras
 
+    if arguments.flip_y and arguments.cameras is None:
+        return []  # those beside IN look at it as it was
     try:
         return scene_cameras(arguments)
     except CameraError:

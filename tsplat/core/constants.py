@@ -97,6 +97,3 @@ EXP2_FLOOR = (
 )
 """2^f on [0, 1] likewise, for processors that round down in one step: 7.5e-8 in exact arithmetic,
 1.6e-7 when evaluated in float32."""
-
-UPWARDS = (0.0, -1.0, 0.0)
-"""Up in COLMAP's world, which INRIA's trainer keeps: y points down."""

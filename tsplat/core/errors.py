@@ -47,7 +47,9 @@ class ContractError(TsplatError, AssertionError):
 
 def printable(text: object, limit: int = 200) -> str:
     """Text of unknown origin, safe to show: no control characters, at most ``limit`` long."""
-    shown = "".join(c if c.isprintable() else "�" for c in str(text))
+    shown = str(text)
+    if not shown.isprintable():
+        shown = "".join(c if c.isprintable() else "�" for c in shown)
     return shown if len(shown) <= limit else shown[: limit - 1] + "…"
 
 
@@ -64,15 +66,18 @@ def check_array(
     import numpy as np
 
     wanted = np.dtype(dtype)
+    if (
+        isinstance(array, np.ndarray)
+        and array.dtype == wanted
+        and array.flags.c_contiguous
+        and len(array.shape) == len(shape)
+        and all(isinstance(s, str) or s == n for s, n in zip(shape, array.shape, strict=True))
+    ):
+        return array
     sizes = ", ".join(map(str, shape))
     expected = f"{name}: expected C-contiguous {wanted.name} [{sizes}]"
     tail = f" {hint}" if hint else ""
     if not isinstance(array, np.ndarray):
         raise SceneError(f"{expected}, got {type(array).__name__}.{tail}")
-    fits = len(array.shape) == len(shape) and all(
-        isinstance(s, str) or s == n for s, n in zip(shape, array.shape, strict=True)
-    )
-    if array.dtype != wanted or not fits or not array.flags.c_contiguous:
-        order = "" if array.flags.c_contiguous else ", not contiguous"
-        raise SceneError(f"{expected}, got {array.dtype.name} {list(array.shape)}{order}.{tail}")
-    return array
+    order = "" if array.flags.c_contiguous else ", not contiguous"
+    raise SceneError(f"{expected}, got {array.dtype.name} {list(array.shape)}{order}.{tail}")

@@ -30,6 +30,10 @@ def _zero_origin() -> F64:
     return np.zeros(3)
 
 
+UPWARDS = (0.0, -1.0, 0.0)
+"""Up in COLMAP's world, which INRIA's trainer keeps: y points down."""
+
+
 class Up(NamedTuple):
     """Which way is up in a scene, and how that is known."""
 

@@ -107,7 +107,7 @@ def _start(file: Path) -> bytes:
     with file.open("rb") as stream:
         start = stream.read(START)
     if not start:
-        raise SceneError(f"{shown}: the file is empty")
+        raise SceneError(f"{shown}: the file is empty; copy or download it again")
     return start
 
 

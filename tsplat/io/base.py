@@ -19,6 +19,11 @@ SAMPLED = "beyond max_splats"
 """Why Gaussians are left out that are not in the sample."""
 
 
+WHOLE_FREE, WHOLE_RATE = 40 << 20, 64
+"""Bytes of memory that the Gaussians of a packed file may take, and more for each byte of it; of
+real files they take 4 to 15."""
+
+
 def _silent(done: int, total: int) -> None:
     pass
 
@@ -76,6 +81,23 @@ def sampled(scene: Scene, keep: int | None) -> Scene:
 def refuse(path: Path, fault: str) -> NoReturn:
     """Raises the SceneError about ``path``: its name made safe to show, then ``fault``."""
     raise SceneError(f"{printable(path)}: {fault}")
+
+
+def check_memory(path: Path, count: int, coefficients: int, packed: int, size: int) -> None:
+    """Refuses a packed file whose Gaussians would take far more memory than any real one's.
+
+    ``count`` of them with K ``coefficients`` and ``packed`` bytes each once unpacked, in a file of
+    ``size`` bytes. To be asked before anything is unpacked.
+    """
+    needed = count * (44 + 12 * coefficients + packed)
+    limit = WHOLE_FREE + WHOLE_RATE * size
+    if needed > limit:
+        refuse(
+            path,
+            f"promises {count} Gaussians of {coefficients} coefficients, {needed >> 20} MB, in "
+            f"{size} bytes, expected at most {limit >> 20} MB of as many; "
+            "the file is damaged, or made to fill the memory",
+        )
 
 
 def refuse_raw_opacity(path: Path, options: ReadOptions, kind: str) -> None:

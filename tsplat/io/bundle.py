@@ -38,9 +38,15 @@ class Bundle:
         _check_directory(path, self.size)
         try:
             self._archive = zipfile.ZipFile(path)
-        except (zipfile.BadZipFile, ValueError, NotImplementedError, struct.error) as error:
+        except (
+            zipfile.BadZipFile,
+            ValueError,
+            OSError,
+            NotImplementedError,
+            struct.error,
+        ) as error:
             text = printable(" ".join(str(error).split()), 80)
-            refuse(path, f"a zip archive that cannot be read: {text}")
+            refuse(path, f"a zip archive that cannot be read: {text}; download it again")
         self.names = self._archive.namelist()
 
     def __enter__(self) -> Self:
@@ -57,20 +63,21 @@ class Bundle:
         if info.file_size > most:
             refuse(path, f"{place}: {shown} has {info.file_size} bytes, expected at most {most}")
         if info.flag_bits & ENCRYPTED or info.compress_type not in STORED_OR_DEFLATED:
-            refuse(path, f"{place}: {shown} is encrypted or packed in a way that is not read")
+            refuse(
+                path,
+                f"{place}: {shown} is encrypted or packed in a way that is not read; unpack it",
+            )
         try:
             with self._archive.open(info) as stream:
                 content = stream.read(info.file_size + 1)
         except (
-            zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError, RuntimeError,
-            struct.error,
+            zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError, NotImplementedError,
+            RuntimeError, struct.error,
         ) as error:  # fmt: skip
             text = printable(" ".join(str(error).split()), 80)
             refuse(path, f"{place}: {shown} cannot be unpacked: {text}; download the file again")
         if len(content) != info.file_size:
-            refuse(
-                path, f"{place}: {shown} has {len(content)} bytes, promised were {info.file_size}"
-            )
+            refuse(path, f"{place}: {shown} has {len(content)} bytes, expected {info.file_size}")
         return content
 
 

@@ -159,7 +159,7 @@ class Layout:
         Whether that is coarse for the Gaussians is decided when their sizes are known.
         """
         low, high = self._positions.low, self._positions.high
-        with np.errstate(invalid="ignore"):  # what is not finite is left out
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is left out
             far = typical(np.maximum(np.abs(low), np.abs(high)).max(1))
             step = typical((high - low).max(1)) / 2047
         return far * 2.0**-24 > step / 2

@@ -19,7 +19,8 @@ from tsplat.io.clean import SceneBuilder
 from tsplat.io.sweeps import scene_of
 
 COUNT_FREE = 1 << 18
-"""Gaussians that a file may hold however small it is: some 45 MB once they are decoded."""
+"""Gaussians that a file may hold however small it is: some 45 MB once they are decoded, colours in
+float16 and of degree 0; of more, :func:`tsplat.io.base.check_memory` is the bound."""
 
 COUNT_RATE = 2
 """More of them for each byte of the file. Real files take 10 bytes a Gaussian and more; what claims

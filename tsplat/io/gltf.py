@@ -16,18 +16,18 @@ import math
 import re
 import struct
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tsplat.core.constants import UPWARDS
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, F64, I64, Floats, Scene, Up
+from tsplat.core.types import F32, F64, I64, UPWARDS, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
-from tsplat.io.fields import Field, parse
+from tsplat.io.fields import ITEMS_MAX, Field, parse
 from tsplat.io.gather import Gaussians, check_count, gather
 from tsplat.io.turn import Turn, axes
 
@@ -45,6 +45,9 @@ PLAIN = {
     "POSITION": "VEC3", f"{EXTENSION}:ROTATION": "VEC4", f"{EXTENSION}:SCALE": "VEC3",
     f"{EXTENSION}:OPACITY": "SCALAR",
 }  # fmt: skip
+PRIMITIVES_MAX = 1024
+"""Of splats, in all nodes; each takes half a millisecond. Exporters write one a scene."""
+
 POINTS = 0
 STRIDE_MAX = 252
 DATA = "data:"
@@ -171,6 +174,7 @@ class _File:
         self._data = data
         self._buffers: dict[int, memoryview] = {}
         self._files: dict[Path, memoryview] = {}
+        self._unpacked: dict[int, memoryview] = {}
 
     def buffer(self, index: Field) -> memoryview:
         """The bytes of a buffer, as many as it promises."""
@@ -192,11 +196,14 @@ class _File:
         uri = buffer.maybe("uri")
         if uri is None:
             if self._chunk is None or number != 0:
-                refuse(self.path, f"{buffer.place} has no uri, and no binary chunk is for it")
+                refuse(
+                    self.path,
+                    f"{buffer.place} has no uri, and no binary chunk is for it; it is damaged",
+                )
             return self._chunk
         text = uri.text()
         if text.startswith(DATA):
-            return memoryview(self._decoded(uri, text))
+            return self._decoded(uri, text)
         if re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", text):
             uri.wrong("the name of a file beside this one; nothing is fetched from a network")
         file = uri.inside().resolve()
@@ -205,18 +212,26 @@ class _File:
             self.bytes += len(self._files[file])
         return self._files[file]
 
-    def _decoded(self, uri: Field, text: str) -> bytes:
-        taken = re.fullmatch(r"data:#(\d{1,6})", text)
-        if taken and int(taken[1]) < len(self._data):
-            head, _, body = self._data[int(taken[1])].partition(b",")
-        else:
-            head, _, body = text.encode("ascii", "replace").partition(b",")
+    def _decoded(self, uri: Field, text: str) -> memoryview:
+        taken = re.fullmatch(r"data:#([0-9]{1,6})", text)
+        number = int(taken[1]) if taken else len(self._data)
+        if number in self._unpacked:  # many buffers may name it
+            return self._unpacked[number]
+        inside = number >= len(self._data)
+        whole = text.encode("ascii", "replace") if inside else self._data[number]
+        head, _, body = whole.partition(b",")
         if not head.endswith(b";base64"):
             uri.wrong("data in base64")
         try:
-            return base64.b64decode(body, validate=True)
+            found = memoryview(base64.b64decode(body, validate=True))
+            if not inside:
+                self._unpacked[number] = found
+                self._data[number] = b""
+            return found
         except binascii.Error as error:
-            refuse(self.path, f"{uri.place}: data that is no base64: {printable(error)}")
+            refuse(
+                self.path, f"{uri.place}: data that is no base64: {printable(error)}; it is damaged"
+            )
 
     def accessor(self, index: Field, kind: str) -> Accessor:
         """What ``index`` counts, which must be of type ``kind``."""
@@ -296,7 +311,7 @@ def _opened(path: Path) -> _File:
 def _chunks(path: Path, content: bytes) -> tuple[bytes, memoryview | None]:
     """Of a GLB: its JSON and its binary chunk (glTF 2.0, 4.4)."""
     if len(content) < 20:
-        refuse(path, f"truncated: a GLB header has 20 bytes, the file {len(content)}")
+        refuse(path, f"truncated: GLB header: expected 20 bytes, got {len(content)}")
     version, length, size, kind = struct.unpack_from("<IIII", content, 4)
     if version != 2:
         refuse(path, f"GLB version {version} (byte 4), expected 2")
@@ -396,8 +411,11 @@ def _nodes(file: _File) -> list[tuple[Field, F64]]:
         ]
     found: list[tuple[Field, F64]] = []
     seen: set[int] = set()
-    waiting = [(index, np.eye(4)) for index in reversed(roots)]
+    world = np.eye(4)
+    waiting = [(index, world) for index in reversed(roots)]
     while waiting:
+        if len(waiting) + len(seen) > ITEMS_MAX:
+            refuse(file.path, f"glTF scene of more than {ITEMS_MAX} nodes, expected at most that")
         index, above = waiting.pop()
         node = nodes.at(index)
         number = index.integer(0)
@@ -424,7 +442,8 @@ def _harmonics(attributes: Field) -> list[Field]:
     return found
 
 
-def _primitive(file: _File, field: Field, turn: Turn) -> Primitive:
+def _columns(file: _File, field: Field) -> tuple[dict[str, Accessor], tuple[Accessor, ...]]:
+    """What :class:`Primitive` has of a primitive of splats."""
     mode = field.maybe("mode")
     if mode is None or mode.integer(0) != POINTS:
         refuse(file.path, f"{field.place}.mode: expected 0 (points) of splats")
@@ -432,7 +451,9 @@ def _primitive(file: _File, field: Field, turn: Turn) -> Primitive:
     attributes = field.get("attributes")
     position = attributes.get("POSITION")
     if more is not None and attributes.maybe(f"{EXTENSION}:SCALE") is None:
-        names = ", ".join(printable(n, 60) for n in more.value) if more.value else "nothing"
+        if not isinstance(more.value, dict):
+            more.wrong("an object")
+        names = ", ".join(printable(n, 60) for n in islice(more.value, 3)) or "nothing"
         refuse(
             file.path,
             f"{field.place}: its splats are packed by {names}, which is not read; "
@@ -449,32 +470,67 @@ def _primitive(file: _File, field: Field, turn: Turn) -> Primitive:
             f"{field.place}: its attributes have {min(counts)} to {max(counts)} rows, "
             "expected as many of each",
         )
-    return Primitive(columns, tuple(harmonics), turn)
+    return columns, tuple(harmonics)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Primitives of a mesh; nodes may share it."""
+
+    splats: list[tuple[Field, dict[str, Accessor], tuple[Accessor, ...]]]
+    others: int
+    spaces: set[str]
+
+
+def _mesh(file: _File, mesh: Field) -> Mesh:
+    splats: list[tuple[Field, dict[str, Accessor], tuple[Accessor, ...]]] = []
+    others, spaces = 0, set()
+    for field in mesh.get("primitives").items():
+        extensions = field.maybe("extensions")
+        extension = None if extensions is None else extensions.maybe(EXTENSION)
+        if extension is None:
+            others += 1
+            continue
+        if len(splats) == PRIMITIVES_MAX:
+            _too_many(file.path)
+        splats.append((field, *_columns(file, field)))
+        space = extension.maybe("colorSpace")
+        spaces.add(DRAWN_AS_IS if space is None else printable(space.text(), 40))
+    return Mesh(splats, others, spaces)
+
+
+def _too_many(path: Path) -> NoReturn:
+    refuse(
+        path,
+        f"glTF scene of more than {PRIMITIVES_MAX} primitives of splats, expected at most that; "
+        "join them in the program that made it",
+    )
 
 
 def _primitives(file: _File) -> tuple[list[Primitive], set[str]]:
     """All splats of the scene, and the colour spaces that they name."""
     found: list[Primitive] = []
     spaces: set[str] = set()
+    meshes: dict[int, Mesh] = {}
     passed = total = 0
     for node, matrix in _nodes(file):
         number = node.maybe("mesh")
         if number is None:
             continue
-        mesh = file.root.get("meshes").at(number)
+        index = number.integer(0)
+        if index not in meshes:
+            meshes[index] = _mesh(file, file.root.get("meshes").at(number))
+        mesh = meshes[index]
+        passed += mesh.others
+        spaces |= mesh.spaces
         turn = None
-        for field in mesh.get("primitives").items():
-            extensions = field.maybe("extensions")
-            extension = None if extensions is None else extensions.maybe(EXTENSION)
-            if extension is None:
-                passed += 1
-                continue
+        for field, columns, harmonics in mesh.splats:
+            if len(found) == PRIMITIVES_MAX:
+                _too_many(file.path)
             turn = turn or _turn(node.place, file.path, matrix)
-            found.append(_primitive(file, field, turn))
+            found.append(Primitive(columns, harmonics, turn))
             total += len(found[-1])
             check_count(file.path, total, file.bytes, f"{field.place} and those before it")
-            space = extension.maybe("colorSpace")
-            spaces.add(DRAWN_AS_IS if space is None else printable(space.text(), 40))
     if not found:
         what = f"{passed} meshes" if passed else "nothing"
         refuse(

@@ -14,13 +14,17 @@ from tsplat.core.errors import printable
 from tsplat.core.types import U8
 from tsplat.io.base import refuse
 
+PNG = b"\x89PNG\r\n\x1a\n"
+NEEDED = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
+"""Chunks of a PNG that make its picture. Others Pillow would unpack as well, texts up to 64 MB."""
+
 
 def image_size(path: Path, place: str, content: bytes) -> tuple[int, int]:
     """Width and height of a WebP or PNG, by its header.
 
     WebP: RFC 9649, sections 2.5 to 2.7; PNG: W3C, 11.2.1.
     """
-    if content.startswith(b"\x89PNG\r\n\x1a\n") and len(content) >= 24:
+    if content.startswith(PNG) and len(content) >= 24:
         width, height = struct.unpack_from(">II", content, 16)
         return width, height
     kind = content[12:16] if content.startswith(b"RIFF") and content[8:12] == b"WEBP" else b""
@@ -34,7 +38,11 @@ def image_size(path: Path, place: str, content: bytes) -> tuple[int, int]:
             return width, height
     if kind in (b"VP8 ", b"VP8X"):
         refuse(path, f"{place}: a lossy WebP, expected a lossless one; its numbers are lost")
-    return refuse(path, f"{place}: neither WebP nor PNG (begins with {content[:4]!r})")
+    return refuse(
+        path,
+        f"{place}: neither WebP nor PNG (begins with {content[:4]!r}), expected one of them; "
+        "the file is damaged",
+    )
 
 
 def _chunks(content: bytes) -> set[bytes]:
@@ -49,6 +57,17 @@ def _chunks(content: bytes) -> set[bytes]:
     return names
 
 
+def _plain_png(content: bytes) -> bytes:
+    """A PNG with what makes its picture and nothing else (PNG, W3C, 5.3)."""
+    parts, at = [PNG], len(PNG)
+    while at + 12 <= len(content):
+        end = at + 12 + int.from_bytes(content[at : at + 4], "big")
+        if content[at + 4 : at + 8] in NEEDED:
+            parts.append(content[at:end])
+        at = end
+    return b"".join(parts)
+
+
 def pixels(path: Path, place: str, content: bytes, least: int, most: int) -> tuple[U8, int]:
     """[H W, 4] RGBA of an image of ``least`` to ``most`` pixels, and its width."""
     width, height = image_size(path, place, content)
@@ -60,6 +79,8 @@ def pixels(path: Path, place: str, content: bytes, least: int, most: int) -> tup
         )
     if width * height > most:
         refuse(path, f"{place}: {width}x{height} pixels, expected at most {most}")
+    if content.startswith(PNG):
+        content = _plain_png(content)
     try:
         with Image.open(BytesIO(content), formats=("WEBP", "PNG")) as image:
             if image.size != (width, height):

@@ -59,7 +59,9 @@ def rest_count(properties: tuple[str, ...]) -> int | str:
         indices.add(int(found[1]))
     missing = set(range(len(rest))) - indices
     if missing:
-        return f"has {len(rest)} f_rest properties but no f_rest_{min(missing)}"
+        return (
+            f"has {len(rest)} f_rest properties but no f_rest_{min(missing)}; the file is damaged"
+        )
     if len(rest) not in REST_COUNTS:
         degree = {72: ", which is degree 4"}.get(len(rest), "")
         return (
@@ -198,7 +200,9 @@ def check(path: Path, header: Header) -> Element:
     vertex = header.find("vertex")
     if vertex is None:
         found = ", ".join(e.name for e in header.elements[:8]) or "none"
-        refuse(path, f"PLY file without an element vertex; its elements: {found}")
+        refuse(
+            path, f"PLY file without an element vertex; its elements: {found}; expected Gaussians"
+        )
     if not set(TELLING) & set(vertex.properties):
         face = next((e for e in header.elements if e.name in ("face", "tristrips")), None)
         kind = f"mesh (element {face.name} {face.count})" if face else "point cloud"

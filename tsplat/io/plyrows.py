@@ -12,7 +12,9 @@ Format: G. Turk, "The PLY Polygon File Format", 1994.
 from __future__ import annotations
 
 import io
+import os
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,8 +31,9 @@ from tsplat.io.sweeps import Bytes
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
-HEADER_MAX = 1 << 20
-"""Bytes. A header of 62 properties has 1,500; the rest is room for comments."""
+HEADER_MAX = 1 << 17
+"""Bytes. A header of 62 properties has 1,500; the rest is room for comments. plyfile takes two
+microseconds a byte."""
 
 ELEMENTS_MAX = 256
 """Elements in a file; splat files have one to eight."""
@@ -38,8 +41,11 @@ ELEMENTS_MAX = 256
 REFUSALS = (PlyParseError, ValueError, ArithmeticError, LookupError)
 """What plyfile raises of what it cannot read; some of it comes from NumPy and from decoding."""
 
-LIST_ROWS_MAX = 1_000_000
-"""Rows of lists before the vertices: they have no fixed size and are read one by one."""
+ROWS_MAX = 1 << 16
+"""Rows of lists, or of text, before the vertices: plyfile reads them one by one and keeps them."""
+
+LINE_MAX = 1 << 20
+"""Characters of a line of text; its words are Python's, twenty times as large."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +136,7 @@ def _parsed(path: Path, lines: tuple[bytes, ...]) -> tuple[bool, tuple[Element, 
         # counts of zero: plyfile parses the whole header and neither reads nor allocates a row
         data = PlyData.read(io.BytesIO(b"\n".join([*emptied, b"end_header\n"])))
     except REFUSALS as error:
-        refuse(path, f"PLY header that cannot be read: {_one_line(error)}")
+        refuse(path, f"PLY header that cannot be read: {_one_line(error)}; it is damaged")
     order = data.byte_order
     elements = tuple(_element(e, int(c), order) for e, c in zip(data.elements, counts, strict=True))
     return bool(data.text), elements
@@ -157,7 +163,10 @@ def _check_size(path: Path, header: Header, size: int) -> None:
     promised = len(header)
     for element in header.elements:
         if element.count and not element.properties:
-            refuse(path, f"PLY element {element.name} has {element.count} rows of no properties")
+            refuse(
+                path,
+                f"PLY element {element.name} has {element.count} rows of no properties; damaged",
+            )
         # a number in text is at least a digit and a space or line end
         promised += element.count * (2 * len(element.properties) if header.text else element.row)
     if header.text:
@@ -187,6 +196,27 @@ class _Shown(io.FileIO):
         memoryview(buffer).cast("B")[: len(other)] = other
         self._progress(start + count, self._total)
         return count
+
+
+class _Bounded(io.BufferedReader):
+    """Makes no room for more than the file has: lists say how long they are."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is None or size < 0:
+            raise ValueError("a list of negative length")
+        if size > 1 << 16:
+            size = min(size, max(os.fstat(self.fileno()).st_size - self.tell(), 0))
+        return super().read(size)
+
+
+class _Lines(io.TextIOWrapper):
+    """Text whose lines are not too long."""
+
+    def readline(self, size: int = -1, /) -> str:  # type: ignore[override]
+        line = super().readline(LINE_MAX if size < 0 else size)
+        if len(line) >= LINE_MAX:
+            raise ValueError(f"a line of {LINE_MAX} characters or more")
+        return line
 
 
 def _without_elements_after_vertex(header: Header) -> bytes:
@@ -242,6 +272,15 @@ class Rows:
         return rows
 
 
+def _vertices(source: io.TextIOWrapper | io.BufferedReader, header: Header) -> NDArray[np.void]:
+    """Element ``vertex``, by plyfile."""
+    with warnings.catch_warnings():
+        if header.text:  # NumPy's, of a list of no numbers
+            warnings.simplefilter("ignore", UserWarning)
+        rows: NDArray[np.void] = PlyData.read(source, mmap="r")["vertex"].data
+    return rows
+
+
 def open_rows(path: Path, header: Header, progress: Callable[[int, int], None]) -> Rows:
     """The rows of element ``vertex``. ``progress`` is called while text is parsed.
 
@@ -251,18 +290,19 @@ def open_rows(path: Path, header: Header, progress: Callable[[int, int], None]) 
     for element in header.elements:
         if element.name == "vertex":
             break
-        if element.lists and element.count > LIST_ROWS_MAX:
+        if (element.lists or header.text) and element.count > ROWS_MAX:
+            kind = "lists" if element.lists else "text"
             refuse(
                 path,
-                f"PLY element {element.name} has {element.count} rows of lists before the "
-                f"vertices, expected at most {LIST_ROWS_MAX}; write element vertex first",
+                f"PLY element {element.name} has {element.count} rows of {kind} before the "
+                f"vertices, expected at most {ROWS_MAX}; write element vertex first",
             )
     shown = _without_elements_after_vertex(header)
     try:
-        with io.BufferedReader(_Shown(path, shown, progress), 1 << 16) as stream:
+        with _Bounded(_Shown(path, shown, progress), 1 << 16) as stream:
             # plyfile would wrap the bytes of a text file itself, and leave the wrapper open
-            source = io.TextIOWrapper(stream, "ascii") if header.text else stream
+            source = _Lines(stream, "ascii") if header.text else stream
             with source, np.errstate(over="ignore"):  # "1e99" is infinite in float32
-                return Rows(path, PlyData.read(source, mmap="r")["vertex"].data)
+                return Rows(path, _vertices(source, header))
     except REFUSALS as error:
         refuse(path, f"PLY rows that cannot be read: {_one_line(error)}; the file is damaged")

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
 from tsplat.core.types import F16, F32, F64, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
-from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
+from tsplat.io.base import Read, Reader, ReadOptions, check_memory, refuse, refuse_raw_opacity
 from tsplat.io.fields import JSON_MAX, Field, parse
 from tsplat.io.gather import (
     UNPACKING,
@@ -40,6 +42,9 @@ PALETTE_MAX = 1 << 16
 SLACK = 1 << 16
 """Pixels that an image may have beyond twice as many as Gaussians."""
 
+WORDS = 1 << 16
+"""What 16 bits may be."""
+
 TAG = 252
 """Alpha of quats.webp, and up: which of w, x, y, z is the largest."""
 
@@ -53,6 +58,9 @@ ALPHAS = (_BYTES / 255).astype(np.float32)
 Fetch = Callable[[Field], bytes]
 """The content of the image that a field names."""
 
+Meaning = Callable[[NDArray[np.uint16]], F32]
+"""What 16 bits mean."""
+
 Measure = Callable[[list[Field]], int]
 """Bytes of the images that fields name, as they are on the disk."""
 
@@ -65,7 +73,7 @@ class Splats:
     def __init__(
         self,
         count: int,
-        positions: list[F32],
+        positions: list[Meaning],
         scales: list[F32],
         colors: list[F32],
         opacities: F32,
@@ -74,7 +82,7 @@ class Splats:
     ) -> None:
         """Tables of what numbers mean, by axis or channel, and ``pixels`` [N, 4] by image.
 
-        ``positions`` are three of 65,536 entries, ``scales`` and ``colors`` three of 256,
+        ``positions`` say what 16 bits mean, ``scales`` and ``colors`` are three of 256 entries,
         ``opacities`` is one; ``palette`` is [P, K - 1, 3].
         """
         self.count = count
@@ -91,8 +99,8 @@ class Splats:
         """See :class:`tsplat.io.gather.Source`."""
         low, high = self._pixels["means_l"][rows], self._pixels["means_u"][rows]
         means = np.empty((len(low), 3), np.float32)
-        for axis, table in enumerate(self._positions):
-            means[:, axis] = table[low[:, axis] | high[:, axis].astype(np.uint16) << 8]
+        for axis, meaning in enumerate(self._positions):
+            means[:, axis] = meaning(low[:, axis] | high[:, axis].astype(np.uint16) << np.uint16(8))
         return means
 
     def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
@@ -126,11 +134,19 @@ class Splats:
         return quats
 
 
-def _logarithmic(low: float, high: float) -> F32:
-    """[65536] positions: sign(v) (e^|v| - 1), v evenly from ``low`` to ``high``."""
-    values = low + (high - low) * (np.arange(65536) / 65535)
-    with np.errstate(over="ignore"):  # infinite: the builder drops it
+def _position(low: float, high: float, words: NDArray[np.uint16]) -> F32:
+    """Positions of 16 bits: sign(v) (e^|v| - 1), v evenly from ``low`` to ``high``."""
+    with np.errstate(over="ignore", invalid="ignore"):  # not finite: the builder drops it
+        values = low + (high - low) * (words / 65535)
         return (np.sign(values) * np.expm1(np.abs(values))).astype(np.float32)
+
+
+def _positions(low: float, high: float, count: int) -> Meaning:
+    """The same as a table, if there are as many Gaussians as entries."""
+    if count < WORDS:
+        return partial(_position, low, high)
+    table = _position(low, high, np.arange(WORDS, dtype=np.uint16))
+    return lambda words: table[words]
 
 
 def _codebook(field: Field) -> F64:
@@ -143,7 +159,8 @@ def _codebook(field: Field) -> F64:
 
 def _linear(low: float, high: float) -> F64:
     """[256] what a byte means, evenly from ``low`` to ``high``."""
-    return low + (high - low) * (_BYTES / 255)
+    with np.errstate(over="ignore", invalid="ignore"):  # not finite: the builder drops it
+        return low + (high - low) * (_BYTES / 255)
 
 
 def _spans(field: Field, length: int) -> list[tuple[float, float]]:
@@ -175,19 +192,22 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
         images["shN_labels"] = harmonics.get("files").items(2)[1]
     counted = means.get("shape").items()[0] if old and _listed(means, "shape") else None
     counted = counted or meta.get("count")
-    count = check_count(path, counted.integer(0), measure(list(images.values())), counted.place)
+    size = measure(list(images.values()))
+    count = check_count(path, counted.integer(0), size, counted.place)
     most = 2 * count + SLACK
     if old:
         logs = [_linear(*span) for span in _spans(scales, 3)]
         *colors, logits = [_linear(*span) for span in _spans(sh0, 4)]
-        opacities = (logits if options.raw_opacity else _sigmoid(logits)).astype(np.float32)
+        with np.errstate(over="ignore"):  # beyond 0..1: the builder drops it
+            opacities = (logits if options.raw_opacity else _sigmoid(logits)).astype(np.float32)
     else:
         logs, colors = [_codebook(scales)] * 3, [_codebook(sh0)] * 3
         opacities = ALPHAS
-    positions = [_logarithmic(*span) for span in _spans(means, 3)]
+    positions = [_positions(*span, count) for span in _spans(means, 3)]
     palette = None
     if harmonics is not None:
         palette = _palette(path, harmonics, fetch, old=old)
+    check_memory(path, count, 1 if palette is None else 1 + palette.shape[1], 4 * len(images), size)
     pixels: dict[str, U8] = {}
     for done, (key, name) in enumerate(images.items()):
         stretch(options, 0, UNPACKING).progress(done, len(images))
@@ -244,8 +264,12 @@ def _error(
         if palette is None or palette_16 is None:
             return worst
         peaks = np.array(SH_PEAKS[1 : 1 + palette.shape[1]])
-        off = np.abs(palette_16.astype(np.float64) - palette)
-        return worst + float(np.einsum("pkc,k->pc", off, peaks).max())
+        most = 0.0
+        for i in range(0, len(palette), PER_ROW * PER_ROW):  # float64 of all would be 70 MB
+            part = slice(i, i + PER_ROW * PER_ROW)
+            off = np.abs(palette_16[part].astype(np.float64) - palette[part])
+            most = float(np.maximum(most, np.einsum("pkc,k->pc", off, peaks).max()))  # NaN stays
+        return worst + most
 
 
 def _largest_label(labels: U8) -> int:
@@ -292,7 +316,7 @@ def _bundle(path: Path, options: ReadOptions) -> Scene:
         names = [n for n in bundle.names if n == META or n.endswith("/" + META)]
         if not names:
             inside = ", ".join(printable(n, 40) for n in bundle.names[:8]) or "nothing"
-            refuse(path, f"a zip archive without {META}, which a SOG has; it holds {inside}")
+            refuse(path, f"a zip archive without {META}, expected a SOG's; it holds {inside}")
         first = min(names, key=len)
         meta = parse(path, META, bundle.read(first, META, JSON_MAX))
 
@@ -301,7 +325,8 @@ def _bundle(path: Path, options: ReadOptions) -> Scene:
             if member not in bundle.names:
                 refuse(
                     path,
-                    f"{name.place} names {printable(name.value, 60)}, which is not in the archive",
+                    f"{name.place} names {printable(name.value, 60)}, which is not in the archive; "
+                    "copy or download it again",
                 )
             # a WebP is not compressed further; deflate takes off a little, or what was idle
             return bundle.read(member, name.place, 4 * bundle.size + (1 << 20))

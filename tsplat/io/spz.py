@@ -17,16 +17,16 @@ import sys
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tsplat.core.constants import UPWARDS
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, I64, U8, Floats, Scene, Up
+from tsplat.core.types import F32, I64, U8, UPWARDS, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
-from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
+from tsplat.io.base import Read, Reader, ReadOptions, check_memory, refuse, refuse_raw_opacity
 from tsplat.io.gather import (
     UNPACKING,
     Gaussians,
@@ -50,6 +50,9 @@ HEADER_4 = 32
 """Bytes: HEADER, the table's offset (uint32), zeros."""
 
 ENTRY = struct.Struct("<QQ")
+WINDOW_LOG_MAX = 23
+"""8 MB: what zstd's level 19 uses, and all up to it."""
+
 PIECE = 1 << 20
 """Bytes unpacked at a time."""
 
@@ -193,7 +196,9 @@ def _head(path: Path, raw: bytes, size: int) -> Head:
             f"SPZ header's fractional bits (byte 13) are {fraction}, expected 0 to {FRACTION_MAX}; "
             "the file is damaged",
         )
-    return Head(version, count, degree, fraction, bool(flags & ANTIALIASED))
+    head = Head(version, count, degree, fraction, bool(flags & ANTIALIASED))
+    check_memory(path, count, (degree + 1) ** 2, sum(head.sizes), size)
+    return head
 
 
 class _Unpacked:
@@ -280,7 +285,10 @@ def _zstd() -> tuple[Any, type[Exception]]:
         from compression import zstd
     else:
         from backports import zstd
-    return zstd.ZstdDecompressor, zstd.ZstdError
+
+    # A stream may ask for a window of 128 MB, which is allocated before it is looked at
+    options = {int(zstd.DecompressionParameter.window_log_max): WINDOW_LOG_MAX}
+    return partial(zstd.ZstdDecompressor, options=options), zstd.ZstdError
 
 
 def _planes_gzip(path: Path, content: bytes, options: ReadOptions) -> tuple[Head, list[U8], str]:
@@ -306,7 +314,7 @@ def _planes_gzip(path: Path, content: bytes, options: ReadOptions) -> tuple[Head
 def _planes_bare(path: Path, content: bytes) -> tuple[Head, list[U8], str]:
     """Versions 1 to 3 without the gzip around it, as splat-transform reads them too."""
     if len(content) < HEADER.size:
-        refuse(path, f"truncated: an SPZ header has {HEADER.size} bytes, the file {len(content)}")
+        refuse(path, f"truncated: SPZ header: expected {HEADER.size} bytes, got {len(content)}")
     head = _head(path, content, len(content))
     wanted = HEADER.size + sum(head.sizes) * head.count
     if len(content) != wanted:
@@ -326,7 +334,7 @@ def _split(head: Head, planes: U8) -> list[U8]:
 def _planes_zstd(path: Path, content: bytes, options: ReadOptions) -> tuple[Head, list[U8], str]:
     """Version 4."""
     if len(content) < HEADER_4:
-        refuse(path, f"truncated: an SPZ 4 header has {HEADER_4} bytes, the file {len(content)}")
+        refuse(path, f"truncated: SPZ 4 header: expected {HEADER_4} bytes, got {len(content)}")
     head = _head(path, content, len(content))
     flags, streams = content[14], content[15]
     (table,) = struct.unpack_from("<I", content, HEADER.size)
@@ -394,7 +402,7 @@ def _extensions(path: Path, records: bytes) -> Iterator[tuple[int, bytes]]:
             refuse(
                 path,
                 f"SPZ extension at byte {HEADER_4 + at} promises {size} bytes, "
-                f"{len(records) - at - 8} are left",
+                f"{len(records) - at - 8} are left; the file is damaged",
             )
         yield kind, records[at + 8 : at + 8 + size]
         at += 8 + size
@@ -437,8 +445,10 @@ def read(path: Path, options: ReadOptions) -> Scene:
     options = stretch(options, UNPACKING, 1)
     turn = Turn(axes(system))
     about = head.about if system == DEFAULT else f"{head.about}, axes {system}"
-    told = "an SPZ file's" if system == DEFAULT else "the file says that its"
-    up = Up(UPWARDS, f"{told} axes are {system}; turned to x right, y down, z forward")
+    told = f"an SPZ file's axes are {system} (not every writer heeds that)"
+    if system != DEFAULT:
+        told = f"the file says that its axes are {system}"
+    up = Up(UPWARDS, f"{told}; turned to x right, y down, z forward")
     return gather(
         path, Splats(head, planes, turn), options, about=about, antialias=head.antialiased, up=up
     )

@@ -125,7 +125,7 @@ class Sweeps:
         """
         rows, total = self._rows, len(self._rows)
         more = True
-        workers = min(default_threads(), THREADS)
+        workers = min(default_threads(), THREADS) if total > PIECE else 1
         # Made here: what a thread of a pool allocates for itself stays the process's, by and large.
         rooms: SimpleQueue[NDArray[Any]] = SimpleQueue()
         for _ in range(workers):
@@ -152,7 +152,7 @@ class Sweeps:
             return self._place(end)
 
         self._progress(before, goal)
-        if total <= PIECE:  # no more than one thread would do
+        if total <= PIECE:  # a pool would have nothing to share
             self._progress(before + piece(0), goal)
             return
         with ThreadPoolExecutor(workers, "tsplat-read") as pool:

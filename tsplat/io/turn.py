@@ -9,6 +9,7 @@ other, by a matrix that is found by least squares from their values in enough di
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsplat.core.constants import SH_DEGREE_MAX
-from tsplat.core.types import F64, Floats
+from tsplat.core.types import F64, Floats, Scene, Up
 
 DIRECTIONS = 64
 """Where harmonics are compared; 16 would do if they were evenly spread."""
@@ -132,3 +133,18 @@ class Turn:
         else:
             rows *= np.repeat(_like(np.diagonal(self._harmonics)[:k], sh), 3)
         return sh
+
+
+def half_turned(scene: Scene) -> Scene:
+    """``scene`` turned by 180 degrees about x: what stood on its head stands up, and no mirror."""
+    turn = Turn(axes("RUB"))
+    up = scene.up
+    if up is not None:
+        x, y, z = up.direction
+        up = Up((x, -y, -z), f"{up.why}; turned by 180 degrees about x")
+    return replace(
+        scene, means=np.asarray(turn.means(scene.means), np.float32),
+        quats=np.ascontiguousarray(turn.quats(scene.quats)),
+        sh=np.ascontiguousarray(turn.sh(scene.sh.copy())),
+        origin=scene.origin * turn.matrix.diagonal(), up=up,
+    )  # fmt: skip

@@ -157,11 +157,23 @@ def comments(source: Source) -> list[str]:
     return said
 
 
-def unsaid(source: Source, fmt: str, *, antialias: bool) -> list[str]:
-    """Notes on what ``fmt`` cannot say of the scene; ``antialias``: that it can."""
+def unsaid(
+    source: Source, fmt: str, *, antialias: bool, up: tuple[float, float, float] | None = None
+) -> list[str]:
+    """Notes on what ``fmt`` cannot say of the scene.
+
+    ``antialias``: that it can say. ``up``: which way that is in all of its files.
+    """
     notes = []
     if source.antialias is not None and not antialias:
         notes.append(f"whether it was trained with antialiasing is not in {fmt}")
-    if source.scene.up is not None:
-        notes.append(f"which way is up ({source.scene.up.why}) is not in {fmt}")
+    known = source.scene.up
+    if known is not None and not (up is not None and _alike(known.direction, up)):
+        notes.append(f"which way is up ({known.why}) is not in {fmt}")
     return notes
+
+
+def _alike(a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:
+    """Whether two directions are within a degree of each other."""
+    cosine = sum(x * y for x, y in zip(a, b, strict=True)) / (math.hypot(*a) * math.hypot(*b))
+    return cosine > math.cos(math.radians(1))

@@ -53,6 +53,9 @@ LEVEL = 6
 LEVEL_4 = 12
 """zstd's, as in Niantic's library."""
 
+UP = 0.0, -1.0, 0.0
+"""Which way is up in every file's axes, once they are turned."""
+
 CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)], np.float64)
 
 
@@ -209,7 +212,7 @@ def write(source: Source, out: BinaryIO, options: WriteOptions) -> Written:
             stream.write(head)
             for name in names:
                 fill(stream, name)
-    notes += (*unsaid(source, "an SPZ file", antialias=True),)
+    notes += (*unsaid(source, "an SPZ file", antialias=True, up=UP),)
     if source.antialias is None:
         notes += ("it says that the scene was trained without antialiasing, as SPZ must say",)
     about = f"SPZ {version}, SH {source.degree}, {fraction} fractional bits"
