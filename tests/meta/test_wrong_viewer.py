@@ -38,7 +38,7 @@ class HidesBehindMore(Panel):
         if self.loose:
             return super()._shown(view, facts, area)
         lines, _, chosen = super()._shown(view, facts, area)
-        at = next(i for i, line in enumerate(lines) if line.stop == chosen)
+        at = next(i for i, line in enumerate(lines) if line.key == chosen.key)
         return lines, min(max(self.top, at + 1 - area.rows, 0), at), chosen
 
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tsplat.core.camera import Orbit, look_at
@@ -55,6 +55,8 @@ def changed(before, after):
 KEYS = ("up", "down", "pageup", "pagedown", "left", "right", "enter", "backspace")
 areas = st.builds(Area, st.integers(0, 9), st.integers(0, 9), st.integers(1, 120),
                   st.integers(1, 60))  # fmt: skip
+DOWN = Event("key", "down")
+AREA = Area(0, 0, 41, 20)
 keys = st.builds(Event, st.just("key"), st.sampled_from(KEYS))
 wheels = st.builds(
     lambda turn: Event("mouse", action="wheel", button=turn), st.sampled_from(("up", "down"))
@@ -104,6 +106,7 @@ def check_chosen_shown(panel):
     """After any key the chosen row is seen, and by its name, on screens of any size."""
 
     @given(areas, st.lists(keys | wheels | clicks, max_size=12), keys, areas, st.booleans())
+    @example(AREA, [DOWN] * 30, DOWN, AREA, True)  # below the box's rows
     def check(area, events, last, later, cropped):
         now, view = panel(), VIEW
         for event in (*events, last):

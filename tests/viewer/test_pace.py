@@ -274,6 +274,33 @@ def test_dear_bytes_cost_shades(rate, monkeypatch):
     assert wrong.pace.load(wrong.show(30)[-1]) > SLOW
 
 
+class Fitting(Pace):
+    """Believes that a link, too, has a time which no level makes shorter."""
+
+    def _stages(self, level, known=None):
+        known, pixels = self._known() if known is None else known, self._levels[level].pixels
+        return (
+            tuple(module._line(known, stage, pixels) for stage in range(3)) if known else (0,) * 3
+        )
+
+
+def slow_cells(kind):
+    """Cells are as many bytes at every level but those of few shades, where blocks are alike."""
+    pace = kind((1000, 660), 30.0, far=True)
+    coarsest = pace._levels[pace._fine - 1].pixels
+    stood = [*range(pace._fine)] * 2  # it was refined before it moves
+    for level in [*stood, *[None] * 40]:
+        level = pace.level if level is None else level
+        flight = 0.4 * min(1.0, pace._levels[level].pixels / coarsest)
+        pace.note(level, 0.01, 0.01, flight, int(flight * 125e3))
+    return flight
+
+
+def test_a_link_is_relieved_by_levels_that_were_not_tried():
+    """What was alike at all known levels may be less at others: motion is worth trying them."""
+    assert slow_cells(Pace) <= SLOW < slow_cells(Fitting)
+
+
 def test_only_a_link_costs_shades():
     """Not a link that is fast enough, not a slow machine, and not a terminal on this one."""
     for world in (

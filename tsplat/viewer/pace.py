@@ -94,6 +94,21 @@ def _line(points: Sequence[_Point], stage: int, pixels: float) -> float:
     return height + max(0.0, each) * (1 - middle)
 
 
+def _bytes_line(points: Sequence[_Point], pixels: float) -> float:
+    """Seconds that a link which is short of bytes should be busy with so many ``pixels``.
+
+    On the line through the two nearest points; in proportion to the pixels if there are no two, and
+    below the coarsest that is known. There bytes can always be given up, so nothing is fixed.
+    """
+    known = sorted((point.pixels, point.stages[2]) for point in points)
+    if len(known) == 1 or pixels < known[0][0]:
+        return known[0][1] * pixels / known[0][0]
+    near = sorted(sorted(known, key=lambda point: abs(point[0] - pixels))[:2])
+    (few, fast), (many, slow) = near
+    slope = max(0.0, (slow - fast) / (many - few))
+    return max(0.0, fast + slope * (pixels - few))
+
+
 def _load(stages: Stages) -> float:
     return max(*stages, sum(stages) / 2)
 
@@ -214,7 +229,9 @@ class Pace:
         known, pixels = self._known() if known is None else known, self._levels[level].pixels
         if not known:
             return 0.0, 0.0, 0.0
-        return _line(known, 0, pixels), _line(known, 1, pixels), _line(known, 2, pixels)
+        far = self._fine < len(self._levels)
+        flight = _bytes_line(known, pixels) if far else _line(known, 2, pixels)
+        return _line(known, 0, pixels), _line(known, 1, pixels), flight
 
     def load(self, level: int) -> float:
         """Seconds from one frame at ``level`` to the next that the stages should need."""
