@@ -289,8 +289,8 @@ def slow_cells(kind):
     pace = kind((1000, 660), 30.0, far=True)
     coarsest = pace._levels[pace._fine - 1].pixels
     stood = [*range(pace._fine)] * 2  # it was refined before it moves
-    for level in [*stood, *[None] * 40]:
-        level = pace.level if level is None else level
+    for said in [*stood, *[None] * 40]:
+        level = pace.level if said is None else said
         flight = 0.4 * min(1.0, pace._levels[level].pixels / coarsest)
         pace.note(level, 0.01, 0.01, flight, int(flight * 125e3))
     return flight
