@@ -9,7 +9,9 @@ from hypothesis import Phase, settings
 @pytest.fixture(autouse=True)
 def _quick():
     """Failing examples are neither made small nor remembered: that they exist is enough."""
-    settings.register_profile("meta", settings.default, phases=[Phase.generate], database=None)
+    settings.register_profile(
+        "meta", settings.default, phases=[Phase.explicit, Phase.generate], database=None
+    )
     settings.load_profile("meta")
     yield
     settings.load_profile("tsplat")
