@@ -88,10 +88,11 @@ def edited(scene: Scene, edits: Edits) -> Scene:
     """
     if edits == NOTHING:
         return scene
-    opacities = _logits(scene.opacities) if edits.raw_opacity else scene.opacities
-    drawn = np.ones(len(scene), bool)
-    for keeps in _keeps(scene, opacities, edits).values():
-        drawn &= keeps
+    return _made(scene, edits, cut(scene, edits)[0])
+
+
+def _made(scene: Scene, edits: Edits, drawn: Bools) -> Scene:
+    opacities = _opacities(scene, edits)
     scales = scene.scales
     if edits.splat_scale != 1:
         with np.errstate(over="ignore"):
@@ -112,29 +113,32 @@ def filtered(scene: Scene, edits: Edits) -> Scene:
     Raises:
         SceneError: nothing is left.
     """
-    made = edited(scene, edits)
-    left = np.ones(len(scene), bool)
-    dropped = dict(scene.dropped)
-    opacities = _logits(scene.opacities) if edits.raw_opacity else scene.opacities
-    for reason, keeps in _keeps(scene, opacities, edits).items():
-        dropped[reason] = int((left & ~keeps).sum())
-        left &= keeps
+    left, dropped = cut(scene, edits)
     if left.all():
-        return made
+        return scene if edits == NOTHING else _made(scene, edits, left)
     if not left.any():
         raise SceneError(
             f"{scene.name}: nothing is left of {len(scene)} Gaussians ({edits.text()}); filter less"
         )
-    return replace(made.take(left), dropped={why: n for why, n in dropped.items() if n})
+    made = _made(scene, edits, left).take(left)
+    return replace(made, dropped={**scene.dropped, **dropped})
 
 
-def keeps(scene: Scene, edits: Edits) -> dict[str, Bools]:
+def cut(scene: Scene, edits: Edits) -> tuple[Bools, dict[str, int]]:
+    """[N] which Gaussians are left, and how many of the others are cut by which edit.
+
+    Of those that several cut, the first counts.
+    """
+    left, counts = np.ones(len(scene), bool), {}
+    for reason, kept in _keeps(scene, edits).items():
+        if count := int(np.count_nonzero(left & ~kept)):
+            counts[reason] = count
+        left &= kept
+    return left, counts
+
+
+def _keeps(scene: Scene, edits: Edits) -> dict[str, Bools]:
     """[N] which Gaussians each edit leaves in, by why it leaves out the others."""
-    opacities = _logits(scene.opacities) if edits.raw_opacity else scene.opacities
-    return _keeps(scene, opacities, edits)
-
-
-def _keeps(scene: Scene, opacities: F32, edits: Edits) -> dict[str, Bools]:
     keeps: dict[str, Bools] = {}
     if edits.crop is not None:
         keeps["outside --crop"] = _inside(scene, edits.crop)
@@ -145,10 +149,14 @@ def _keeps(scene: Scene, opacities: F32, edits: Edits) -> dict[str, Bools]:
             axis=1, initial=0
         ) <= np.float32(edits.max_scale)
     if edits.min_opacity > 0:
-        keeps[f"below --min-opacity {edits.min_opacity:g}"] = opacities >= np.float32(
-            edits.min_opacity
-        )
+        keeps[f"below --min-opacity {edits.min_opacity:g}"] = _opacities(
+            scene, edits
+        ) >= np.float32(edits.min_opacity)
     return keeps
+
+
+def _opacities(scene: Scene, edits: Edits) -> F32:
+    return _logits(scene.opacities) if edits.raw_opacity else scene.opacities
 
 
 def _within(scene: Scene, trim: float) -> Bools:

@@ -136,8 +136,7 @@ def _own_cameras(arguments: argparse.Namespace) -> list[Camera]:
 
 
 def _cut(done: Done) -> dict[str, int]:
-    cut = {reason: n for reason, n in done.source.cut.items() if n}
-    return {**done.source.given.dropped, **cut}
+    return {**done.source.given.dropped, **done.source.cut}
 
 
 def _facts(arguments: argparse.Namespace, done: Done, measured: Measured | None) -> dict[str, Any]:

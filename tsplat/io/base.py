@@ -24,8 +24,8 @@ WHOLE_FREE, WHOLE_RATE = 40 << 20, 64
 real files they take 4 to 15."""
 
 
-def _silent(done: int, total: int) -> None:
-    pass
+def silent(done: int, total: int) -> None:
+    """Progress that nobody wants to hear of."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class ReadOptions:
 
     max_splats: int | None = None  # keep at most this many, an even, seeded sample
     raw_opacity: bool = False  # opacities are stored as 0..1, not as logits
-    progress: Callable[[int, int], None] = _silent  # (done, total) in any unit, called often
+    progress: Callable[[int, int], None] = silent  # (done, total) in any unit, called often
     sh_float32: bool = False  # keep SH in float32 even where float16 would do
 
 
@@ -76,6 +76,11 @@ def sampled(scene: Scene, keep: int | None) -> Scene:
         return scene
     dropped = {**scene.dropped, SAMPLED: len(scene) - keep}
     return replace(scene.take(sample_rows(len(scene), keep)), dropped=dropped)
+
+
+def one_line(error: BaseException, most: int = 100) -> str:
+    """What ``error`` says, safe to show, at most so many characters of it."""
+    return printable(" ".join(str(error).split()), most)
 
 
 def refuse(path: Path, fault: str) -> NoReturn:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Self
 
 from tsplat.core.errors import printable
-from tsplat.io.base import refuse
+from tsplat.io.base import one_line, refuse
 
 EOCD = b"PK\x05\x06"
 """A zip archive's end of its directory: PKWARE APPNOTE.TXT 4.3.16."""
@@ -22,6 +22,11 @@ DIRECTORY_MAX = 1 << 16
 
 STORED_OR_DEFLATED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 ENCRYPTED = 1
+FAULTS = (
+    zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, OSError,
+    NotImplementedError, RuntimeError,
+)  # fmt: skip
+"""What zipfile raises of archives that it cannot read."""
 
 
 class Bundle:
@@ -38,14 +43,8 @@ class Bundle:
         _check_directory(path, self.size)
         try:
             self._archive = zipfile.ZipFile(path)
-        except (
-            zipfile.BadZipFile,
-            ValueError,
-            OSError,
-            NotImplementedError,
-            struct.error,
-        ) as error:
-            text = printable(" ".join(str(error).split()), 80)
+        except FAULTS as error:
+            text = one_line(error, 80)
             refuse(path, f"a zip archive that cannot be read: {text}; download it again")
         self.names = self._archive.namelist()
 
@@ -70,11 +69,8 @@ class Bundle:
         try:
             with self._archive.open(info) as stream:
                 content = stream.read(info.file_size + 1)
-        except (
-            zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError, NotImplementedError,
-            RuntimeError, struct.error,
-        ) as error:  # fmt: skip
-            text = printable(" ".join(str(error).split()), 80)
+        except FAULTS as error:
+            text = one_line(error, 80)
             refuse(path, f"{place}: {shown} cannot be unpacked: {text}; download the file again")
         if len(content) != info.file_size:
             refuse(path, f"{place}: {shown} has {len(content)} bytes, expected {info.file_size}")

@@ -52,6 +52,12 @@ SH = "colour not finite"
 REASONS = (MEAN, QUAT, QUAT_ZERO, SCALE, SCALE_NEGATIVE, OPACITY, OPACITY_RANGE, SH)
 
 
+def sigmoid(logits: F64) -> F64:
+    """1 / (1 + e^-x) in float64; exactly 0 and 1 at the infinities."""
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        return 1 / (1 + np.exp(-logits))
+
+
 class SceneBuilder:
     """Takes decoded Gaussians a few thousand rows at a time; ``build`` gives the Scene.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tsplat.core.errors import printable
 from tsplat.core.types import F64
-from tsplat.io.base import refuse
+from tsplat.io.base import one_line, refuse
 
 JSON_MAX = 1 << 21
 """Bytes. SOG's meta.json has 16 kB and a glTF scene 200 a node; Python's objects take 25 times as
@@ -173,7 +173,7 @@ def parse(path: Path, place: str, content: bytes) -> Field:
     except RecursionError:
         refuse(path, f"{what}JSON that is nested too deeply; the file is damaged")
     except ValueError as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
-        text = printable(" ".join(str(error).split()), 100)
+        text = one_line(error)
         refuse(path, f"{what}JSON that cannot be read: {text}; the file is damaged")
     root = Field(path, what, value)
     if not isinstance(value, dict):

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tsplat.core.errors import printable
 from tsplat.core.types import U8
-from tsplat.io.base import refuse
+from tsplat.io.base import one_line, refuse
 
 PNG = b"\x89PNG\r\n\x1a\n"
 NEEDED = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
@@ -87,7 +86,7 @@ def pixels(path: Path, place: str, content: bytes, least: int, most: int) -> tup
                 refuse(path, f"{place}: its two headers disagree about its size")
             rgba = image.convert("RGBA")
     except (OSError, ValueError, SyntaxError, EOFError, struct.error, zlib.error) as error:
-        text = printable(" ".join(str(error).split()), 80)
+        text = one_line(error, 80)
         refuse(path, f"{place}: cannot be decoded: {text}; the file is damaged")
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         refuse(path, f"{place}: {width}x{height} pixels are more than Pillow decodes")

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F32, F64, I32, Floats, Scene
+from tsplat.core.types import F32, I32, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io import native
-from tsplat.io.base import Read, Reader, ReadOptions, refuse
-from tsplat.io.clean import SceneBuilder
+from tsplat.io.base import Read, Reader, ReadOptions, refuse, silent
+from tsplat.io.clean import SceneBuilder, sigmoid
 from tsplat.io.says import says_antialias, says_up
 from tsplat.io.sweeps import scene_of
 
@@ -105,12 +105,6 @@ def _floats(columns: NDArray[np.generic]) -> Floats:
     if np.can_cast(columns.dtype, np.float32):
         return columns.astype(np.float32, copy=False)
     return columns.astype(np.float64, copy=False)
-
-
-def sigmoid(logits: F64) -> F64:
-    """1 / (1 + e^-x) in float64; exactly 0 and 1 at the infinities."""
-    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        return 1 / (1 + np.exp(-logits))
 
 
 class Stored(NamedTuple):
@@ -239,7 +233,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
         refuse(path, rest)
     with plyrows.open_rows(path, header, options.progress) as rows:
         if header.text:  # reading it was the work
-            options = replace(options, progress=_nothing)
+            options = replace(options, progress=silent)
         return scene_of(
             path, rows, Layout(rows.dtype, rest), options,
             about="" if THICKNESS in vertex.properties else "ply of 2D Gaussians",
@@ -251,10 +245,6 @@ def _load() -> Read:
     import tsplat.io.plyrows  # noqa: F401 - plyfile, and what is wrong with it, now
 
     return read
-
-
-def _nothing(done: int, total: int) -> None:
-    pass
 
 
 def recognises(start: bytes) -> bool:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from plyfile import PlyData, PlyListProperty, PlyParseError
 
 from tsplat.core.errors import printable
-from tsplat.io.base import refuse
+from tsplat.io.base import one_line, refuse
 from tsplat.io.sweeps import Bytes
 
 if TYPE_CHECKING:
@@ -83,10 +83,6 @@ class Header:
         return sum(map(len, self.lines)) + len(self.lines) * len(self.line_end)
 
 
-def _one_line(error: BaseException) -> str:
-    return printable(" ".join(str(error).split()), 100)
-
-
 def read_header(path: Path) -> Header:
     """The header of the file at ``path``.
 
@@ -136,7 +132,7 @@ def _parsed(path: Path, lines: tuple[bytes, ...]) -> tuple[bool, tuple[Element, 
         # counts of zero: plyfile parses the whole header and neither reads nor allocates a row
         data = PlyData.read(io.BytesIO(b"\n".join([*emptied, b"end_header\n"])))
     except REFUSALS as error:
-        refuse(path, f"PLY header that cannot be read: {_one_line(error)}; it is damaged")
+        refuse(path, f"PLY header that cannot be read: {one_line(error)}; it is damaged")
     order = data.byte_order
     elements = tuple(_element(e, int(c), order) for e, c in zip(data.elements, counts, strict=True))
     return bool(data.text), elements
@@ -305,4 +301,4 @@ def open_rows(path: Path, header: Header, progress: Callable[[int, int], None]) 
             with source, np.errstate(over="ignore"):  # "1e99" is infinite in float32
                 return Rows(path, _vertices(source, header))
     except REFUSALS as error:
-        refuse(path, f"PLY rows that cannot be read: {_one_line(error)}; the file is damaged")
+        refuse(path, f"PLY rows that cannot be read: {one_line(error)}; the file is damaged")

@@ -19,6 +19,7 @@ from tsplat.core.errors import printable
 from tsplat.core.types import F16, F32, F64, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, check_memory, refuse, refuse_raw_opacity
+from tsplat.io.clean import sigmoid
 from tsplat.io.fields import JSON_MAX, Field, parse
 from tsplat.io.gather import (
     UNPACKING,
@@ -168,11 +169,6 @@ def _spans(field: Field, length: int) -> list[tuple[float, float]]:
     return list(zip(lows, field.get("maxs").numbers(length).tolist(), strict=True))
 
 
-def _sigmoid(logits: F64) -> F64:
-    with np.errstate(over="ignore"):
-        return 1 / (1 + np.exp(-logits))
-
-
 def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: ReadOptions) -> Scene:
     """The scene that ``meta`` describes."""
     version = meta.maybe("version")
@@ -199,7 +195,7 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
         logs = [_linear(*span) for span in _spans(scales, 3)]
         *colors, logits = [_linear(*span) for span in _spans(sh0, 4)]
         with np.errstate(over="ignore"):  # beyond 0..1: the builder drops it
-            opacities = (logits if options.raw_opacity else _sigmoid(logits)).astype(np.float32)
+            opacities = (logits if options.raw_opacity else sigmoid(logits)).astype(np.float32)
     else:
         logs, colors = [_codebook(scales)] * 3, [_codebook(sh0)] * 3
         opacities = ALPHAS

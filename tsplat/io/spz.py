@@ -23,10 +23,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tsplat.core.errors import printable
 from tsplat.core.types import F32, I64, U8, UPWARDS, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
-from tsplat.io.base import Read, Reader, ReadOptions, check_memory, refuse, refuse_raw_opacity
+from tsplat.io.base import (
+    Read,
+    Reader,
+    ReadOptions,
+    check_memory,
+    one_line,
+    refuse,
+    refuse_raw_opacity,
+)
 from tsplat.io.gather import (
     UNPACKING,
     Gaussians,
@@ -235,7 +242,7 @@ class _Unpacked:
             try:
                 made: bytes = decompressor.decompress(fed, most)
             except self._faults as error:
-                text = printable(" ".join(str(error).split()), 80)
+                text = one_line(error, 80)
                 refuse(
                     self._path,
                     f"{self._what} cannot be unpacked near byte {start}: {text}; "

@@ -11,6 +11,7 @@ import numpy as np
 
 from tsplat.core.errors import ParamsError
 from tsplat.core.types import F32, F64, I64, Floats
+from tsplat.io.base import silent
 
 if TYPE_CHECKING:
     from tsplat.io.write.source import Source
@@ -26,10 +27,6 @@ CEILING = 18.0
 """The logit of 1: a sigmoid of more than 17.4 is 1 in float32, whose step below 1 is 2^-24."""
 
 
-def _silent(done: int, total: int) -> None:
-    pass
-
-
 @dataclass(frozen=True)
 class WriteOptions:
     """How to write; None leaves it to the writer. A writer says in ``Writer.takes`` what it heeds.
@@ -41,7 +38,7 @@ class WriteOptions:
     version: int | None = None  # of the format
     fractional_bits: int | None = None  # of positions in fixed point
     sh_bits: tuple[int, int] | None = None  # of coefficients of degree 1, and of higher ones
-    progress: Callable[[int, int], None] = _silent  # (done, total) in any unit, called often
+    progress: Callable[[int, int], None] = silent  # (done, total) in any unit, called often
 
     def __post_init__(self) -> None:
         if self.fractional_bits is not None and not 0 <= self.fractional_bits <= 23:

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
 from tsplat.core.types import F32, I64, Floats, Scene
-from tsplat.edits import NOTHING, Edits, edited, keeps
+from tsplat.edits import NOTHING, Edits, cut, edited
 from tsplat.io import clean
-from tsplat.io.base import sample_rows
+from tsplat.io.base import sample_rows, silent
 from tsplat.io.write.base import ROWS, parts
 
 if TYPE_CHECKING:
@@ -36,12 +36,8 @@ class Source:
         """``degree``: at most so many bands of harmonics. What ``edits`` cut is left out."""
         self.given = scene
         order = None if scene.numbers is None else np.argsort(scene.numbers)
-        self.cut: dict[str, int] = {}  # how many are left out by which edit, the first that does
+        left, self.cut = cut(scene, edits)  # and how many are left out by which edit
         self.places: I64 | None = None  # which of the scene's rows, in its file's order, are left
-        left = np.ones(len(scene), bool)
-        for reason, kept in keeps(scene, edits).items():
-            self.cut[reason] = int(np.count_nonzero(left & ~kept))
-            left &= kept
         if not left.all():
             self.places = np.flatnonzero(left if order is None else left[order])
             order = self.places if order is None else order[self.places]
@@ -124,7 +120,7 @@ class Verbatim:
         rest = ply.rest_count(vertex.properties)
         assert isinstance(rest, int)  # it has been read
         self.passed_over = _passed_over(header, vertex)
-        self._rows = plyrows.open_rows(path, header, _quiet)
+        self._rows = plyrows.open_rows(path, header, silent)
         self._layout = ply.Layout(self._rows.dtype, rest)
         dropped = Counter(source.given.dropped)
         total = len(self._rows)
@@ -183,7 +179,3 @@ def _passed_over(header: Header, vertex: Element) -> tuple[str, ...]:
     named = (("properties", other), ("elements", elements))
     found = [f"{what} {printable(', '.join(names[:8]))}" for what, names in named if names]
     return (*found, *([f"{comments} comments"] if comments else []))
-
-
-def _quiet(done: int, total: int) -> None:
-    pass

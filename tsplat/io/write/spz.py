@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.errors import OutputError, ParamsError
-from tsplat.core.types import F32, U8
+from tsplat.core.types import F32, U8, UPWARDS
 from tsplat.io.spz import ANTIALIASED, DEFAULT, ENTRY, HEADER, HEADER_4, MAGIC, PLANES
 from tsplat.io.turn import Turn, axes
 from tsplat.io.write.base import (
@@ -52,9 +52,6 @@ LEVEL = 6
 
 LEVEL_4 = 12
 """zstd's, as in Niantic's library."""
-
-UP = 0.0, -1.0, 0.0
-"""Which way is up in every file's axes, once they are turned."""
 
 CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)], np.float64)
 
@@ -212,7 +209,7 @@ def write(source: Source, out: BinaryIO, options: WriteOptions) -> Written:
             stream.write(head)
             for name in names:
                 fill(stream, name)
-    notes += (*unsaid(source, "an SPZ file", antialias=True, up=UP),)
+    notes += (*unsaid(source, "an SPZ file", antialias=True, up=UPWARDS),)
     if source.antialias is None:
         notes += ("it says that the scene was trained without antialiasing, as SPZ must say",)
     about = f"SPZ {version}, SH {source.degree}, {fraction} fractional bits"
