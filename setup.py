@@ -1,4 +1,4 @@
-"""Builds what is in C and optional: kernel, decoder, encoder. All else is in pyproject.toml.
+"""Builds what is optional and in C: kernel, decoder, unpacker, encoder; see pyproject.toml, too.
 
 Without a working compiler the install still succeeds: the compiler's complaint is kept in
 ``build_error.txt`` beside what was not built; the backend quotes its own when asked why it is
@@ -90,7 +90,7 @@ class BuildKernel(build_ext):
 build = runpy.run_path(str(KERNEL / "build.py"))
 modules = [
     build["make_ffi"]([], [], build[name]).distutils_extension(tmpdir="build")
-    for name in ("MODULE", "DECODER", "ENCODER")
+    for name in ("MODULE", "DECODER", "UNPACKER", "ENCODER")
 ]
 for module in modules:
     module.optional = True

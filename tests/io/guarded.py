@@ -1,9 +1,10 @@
-"""The decoder with a page that may not be touched before and after every array it gets.
+"""The decoder, and what unpacks, with a page not to be touched before and after every array.
 
 Run as a program, because what touches such a page dies:
 
 python -m tests.io.guarded decode SIDE SEED    # exit code 0: within bounds, usual bits
-python -m tests.io.guarded overrun             # a signal: one row more than there is
+python -m tests.io.guarded unpack SIDE SEED    # the same
+python -m tests.io.guarded overrun WHAT        # a signal: decode or unpack one row too many
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ import sys
 import numpy as np
 
 from tests.backends.guarded import guarded
+from tests.io import test_unpack
 from tests.io.plywriter import REST, names_inria
 from tsplat.io import native, ply
+from tsplat.io import unpack as unpacking
 
 
 def make(rng, degree):
@@ -69,8 +72,24 @@ def decode(side, seed):
     assert lent[-1].tolist() == usual.tolist()
 
 
-def overrun():
+def unpack(side, seed):
+    """Each function, on rows and tables that lie at such a page."""
+    rng = np.random.default_rng(int(seed))
+    for _ in range(100):
+        for usual, call in test_unpack.calls(rng):
+            wanted, found = usual.copy(), guarded(usual, side)
+            call(lambda array: array, wanted)
+            call(lambda array: guarded(array, side), found)
+            assert found.tobytes() == wanted.tobytes(), call
+
+
+def overrun(what):
     """Lends fewer rows than it says."""
+    if what == "unpack":
+        short = guarded(np.zeros((7, 9), np.uint8), "end")
+        rows = np.lib.stride_tricks.as_strided(short, (8, 9), short.strides)
+        unpacking.fixed_24(rows, 1.0, np.zeros((8, 3), np.float32))
+        return
     rows, arrays = make(np.random.default_rng(0), 3)
     fewer, pointer = guarded(rows[:-1], "end"), native.pointer
     native.pointer = lambda array, ctype: pointer(fewer if array is rows else array, ctype)
@@ -78,4 +97,4 @@ def overrun():
 
 
 if __name__ == "__main__":
-    {"decode": decode, "overrun": overrun}[sys.argv[1]](*sys.argv[2:])
+    {"decode": decode, "unpack": unpack, "overrun": overrun}[sys.argv[1]](*sys.argv[2:])

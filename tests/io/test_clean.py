@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tsplat.core.errors import SceneError
 from tsplat.io import scene_from_arrays
 from tsplat.io.base import sample_rows
-from tsplat.io.clean import CHUNK, DETAIL, SH_MAX, SceneBuilder, detail_origin
+from tsplat.io.clean import CHUNK, DETAIL, SH_MAX, detail_origin
 from tsplat.io.half import SH_PEAKS
 
 ANY = [np.float16, np.float32, np.float64, np.longdouble]
@@ -220,21 +220,3 @@ def test_sample_rows_takes_one_of_each_stretch(total, keep):
     assert rows[0] >= 0
     assert rows[-1] < total
     assert (np.diff(np.concatenate([[-1], rows, [total]])) <= 2 * -(-total // keep)).all()
-
-
-def test_coefficients_in_float16_are_kept_as_they_are():
-    """Rounded before, they keep their bits and their error; what is not finite is left out."""
-    rng = np.random.default_rng(3)
-    n = 8
-    arrays = (rng.normal(size=(n, 3)), rng.normal(size=(n, 4)), np.ones((n, 3)), np.ones(n))
-    sh = rng.normal(size=(n, 4, 3)).astype(np.float16)
-    sh[2, 1, 0], sh[5, 3, 2], sh[6, 0, 0] = np.inf, np.nan, np.finfo(np.float16).max
-    builder = SceneBuilder(n, 4, half=True)
-    builder.add(*arrays, sh, slice(0, n), 1e-4)
-    assert builder.sh_error == 1e-4
-    scene = builder.build("half")
-    assert dict(scene.dropped) == {"colour not finite": 2}
-    assert scene.sh.tobytes() == sh[[0, 1, 3, 4, 6, 7]].tobytes()
-    full = SceneBuilder(n, 4)
-    full.add(*arrays, sh, slice(0, n))
-    assert full.build("full").sh.dtype == np.float32

@@ -290,17 +290,19 @@ def test_the_keys_are_numpys(patterns, limits):
 
 @pytest.mark.skipif(os.name != "posix", reason="guard pages need mmap and mprotect")
 @pytest.mark.parametrize("side", ["begin", "end"])
-def test_it_stays_within_its_arrays(side):
+@pytest.mark.parametrize("what", ["decode", "unpack"])
+def test_it_stays_within_its_arrays(what, side):
     """With a guard page at this side of every array, the bits are the same as without."""
-    args = "decode", side, random.randrange(2**32)
+    args = what, side, random.randrange(2**32)
     run = child(*args, tests="io")
     assert run.returncode == 0, f"{args}: exit code {run.returncode}\n{run.stderr[-4000:]}"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="guard pages need mmap and mprotect")
-def test_a_row_too_many_dies():
-    """The guard is real: told of one row more than there is, the decoder ends the process."""
-    assert child("overrun", tests="io").returncode in FAULTS
+@pytest.mark.parametrize("what", ["decode", "unpack"])
+def test_a_row_too_many_dies(what):
+    """The guard is real: told of one row more than there is, C ends the process."""
+    assert child("overrun", what, tests="io").returncode in FAULTS
 
 
 @pytest.mark.parametrize(("bits", "kept"), [(0x7D7FFFFF, True), (0x7D800000, False)])

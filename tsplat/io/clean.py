@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsplat.core.errors import SceneError
-from tsplat.core.types import F16, F32, F64, I32, Floats, Scene
-from tsplat.io.half import INFINITY, to_half
+from tsplat.core.types import F32, F64, I32, Floats, Scene
+from tsplat.io.half import to_half
 
 if TYPE_CHECKING:
     from tsplat.io.native import Decoder
@@ -79,7 +79,6 @@ class SceneBuilder:
         self._opacities = np.empty(capacity, np.float32)
         self._sh = np.empty((capacity, coefficients, 3), np.float16 if half else np.float32)
         self._wide = wide
-        self.half = half
         self._count = 0
         self._gaps: list[NDArray[np.integer]] = []  # rows that nothing was put into
         self._lock = threading.Lock()
@@ -95,23 +94,20 @@ class SceneBuilder:
         quats: Floats,  # [n, 4]     w, x, y, z; any length
         scales: Floats,  # [n, 3]    world units, linear
         opacities: Floats,  # [n]    0..1
-        sh: Floats | F16,  # [n, K, 3]
+        sh: Floats,  # [n, K, 3]
         to: slice | NDArray[np.integer],
-        sh_error: float = 0.0,
     ) -> None:
         """Puts the rows that can be drawn into rows ``to``, n of the builder's capacity.
 
-        ``sh`` in float16 is kept as it is; ``sh_error`` is what that has cost already. Threads may
-        add at once, each to rows of its own. All rows must be added to before ``build``, which
-        closes the gaps that others leave.
+        Threads may add at once, each to rows of its own. All rows must be added to before
+        ``build``, which closes the gaps that others leave.
         """
         # what overflows is dropped; what underflows is 0, or close to it
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             if not self._wide:
                 means = means.astype(np.float32, copy=False)
             scales = scales.astype(np.float32, copy=False)
-            if not (self.half and sh.dtype == np.float16):
-                sh = sh.astype(np.float32, copy=False)
+            sh = sh.astype(np.float32, copy=False)
             units, lengths = _normalised(quats)
             # after re-basing a mean may be twice as far out as it was
             limit = FLOAT32_MAX / 2 if self._wide else FLOAT32_MAX
@@ -127,7 +123,7 @@ class SceneBuilder:
             _put(self._quats, to, units[keep])
             _put(self._scales, to, scales[keep])
             self._opacities[to] = np.clip(opacities[keep], 0, 1)
-            error = sh_error + self._put_sh(to, sh[keep])
+            error = self._put_sh(to, sh[keep])
         with self._lock:
             self._count += len(means) - dropped.total()
             self._gaps += gaps
@@ -151,13 +147,13 @@ class SceneBuilder:
             self.sh_error = max(self.sh_error, error)
         return True
 
-    def _put_sh(self, to: slice | NDArray[np.integer], sh: Floats | F16) -> float:
+    def _put_sh(self, to: slice | NDArray[np.integer], sh: F32) -> float:
         """The colour error that keeping ``sh`` costs."""
         if sh.dtype == self._sh.dtype:
             _put(self._sh, to, sh)
             return 0.0
         halves = np.empty(sh.shape, np.float16)
-        error = to_half(np.ascontiguousarray(sh, np.float32), halves)
+        error = to_half(np.ascontiguousarray(sh), halves)
         _put(self._sh, to, halves)
         return error
 
@@ -230,7 +226,7 @@ def _place(dropped: tuple[str, int]) -> int:
 
 
 def _sound(
-    means: Floats, lengths: F64, scales: F32, opacities: Floats, sh: Floats | F16, limit: float
+    means: Floats, lengths: F64, scales: F32, opacities: Floats, sh: F32, limit: float
 ) -> bool:
     """Whether every row can be drawn, as nearly all can; False may be a false alarm.
 
@@ -243,21 +239,13 @@ def _sound(
         and scales.min(initial=0) >= 0
         and scales.max(initial=0) < np.inf
         and np.abs(opacities - 0.5).max(initial=0) <= 0.5 + OPACITY_SLACK
-        and (_finite(sh.view(np.uint16)) if sh.dtype == np.float16 else _within(sh))
+        and sh.max(initial=0) <= SH_MAX
+        and sh.min(initial=0) >= -SH_MAX
     )
 
 
-def _within(sh: Floats | F16) -> bool:
-    return bool(sh.max(initial=0) <= SH_MAX and sh.min(initial=0) >= -SH_MAX)
-
-
-def _finite(bits: NDArray[np.uint16]) -> bool:
-    """Whether float16s of those bits are numbers; ten times as fast as comparing them."""
-    return bool((bits & 0x7FFF).max(initial=0) < INFINITY)
-
-
 def _judge(
-    means: Floats, lengths: F64, scales: F32, opacities: Floats, sh: Floats | F16, limit: float,
+    means: Floats, lengths: F64, scales: F32, opacities: Floats, sh: F32, limit: float,
     dropped: Counter[str],
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Which rows can be drawn; the others are counted in ``dropped`` by the first reason."""
@@ -269,7 +257,7 @@ def _judge(
         SCALE_NEGATIVE: scales < 0,
         OPACITY: np.isnan(opacities),
         OPACITY_RANGE: np.abs(opacities - 0.5) > 0.5 + OPACITY_SLACK,
-        SH: ~(np.abs(sh.astype(np.float32)) <= SH_MAX),
+        SH: ~(np.abs(sh) <= SH_MAX),
     }
     bad = np.zeros(len(means), np.bool_)
     for reason, where in faults.items():

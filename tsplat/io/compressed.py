@@ -20,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.constants import SH_C0
-from tsplat.core.types import F32, F64, I32, Floats, Scene
+from tsplat.core.types import F64, I32, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.clean import SceneBuilder
 from tsplat.io.says import says_antialias, says_up
 from tsplat.io.sweeps import Bytes, scene_of, typical
 from tsplat.io.table import DC, LEVELS, MEAN, OPACITY, QUAT, REST, SCALE, Tables
+from tsplat.io.unpack import PLACES, Parts, Ranges, in_ranges, look_up, smallest_three
 
 if TYPE_CHECKING:
     from tsplat.io.plyrows import Element, Header
@@ -40,16 +41,16 @@ SCALE_RANGE = tuple(f"{end}_scale_{axis}" for end in ("min", "max") for axis in 
 COLOR_RANGE = ("min_r", "min_g", "min_b", "max_r", "max_g", "max_b")
 REST_COUNTS = (0, 9, 24, 45)
 
-Parts = tuple[NDArray[np.integer], NDArray[np.integer], NDArray[np.integer]]
-"""Three numbers of each Gaussian, [n] each."""
+VECTOR = Parts((21, 11, 0), (11, 10, 11))
+COLOR = Parts((24, 16, 8), (8, 8, 8))
 
-ELEVEN, TEN, BYTE = np.uint32(0x7FF), np.uint32(0x3FF), np.uint32(0xFF)
+QUAT_STEP = 2**0.5 / 1023
+QUATS = (np.arange(1024, dtype=np.float64) - 511.5) * QUAT_STEP
+"""What ten bits of a quaternion mean."""
 
-QUATS = np.float32(np.sqrt(2) / 1023)
-"""From one of a quaternion's smaller numbers to the next; 511.5 of them are zero."""
-
-REST_STEP, REST_LOW, REST_MAX = np.float32(1 / 32), np.float32(1 / 64 - 4), np.float32(4)
-"""A byte of ``f_rest_*`` to the next, what 0 would be if it were not -4, and what 255 is."""
+RESTS = ((np.arange(256)[None] + 0.5) / 32 - 4).astype(np.float32)
+RESTS[0, [0, 255]] = -4, 4
+"""What a byte of ``f_rest_*`` means."""
 
 
 def packed(header: Header) -> bool:
@@ -67,7 +68,7 @@ class Rows:
         self._rest = rest
         count = 0 if rest is None else rest.columns
         self.dtype = np.dtype(
-            [("row", np.int64), *((name, np.uint32) for name in PACKED), ("rest", np.uint8, count)]
+            [("row", np.int64), ("packed", np.uint32, 4), ("rest", np.uint8, count)]
         )
 
     def __len__(self) -> int:
@@ -78,8 +79,8 @@ class Rows:
         rows = room[: stop - start]
         rows["row"] = np.arange(start, stop)
         vertex = self._vertex.read(self._file, start, stop)
-        for name in PACKED:
-            rows[name] = vertex[name]
+        for i, name in enumerate(PACKED):
+            rows["packed"][:, i] = vertex[name]
         if self._rest is not None:
             rest = self._rest.read(self._file, start, stop)
             if self._rest.in_order:
@@ -107,29 +108,15 @@ class Place:
         return rows
 
 
-class Ranges:
-    """The ranges [C] of three numbers, and how many steps each is divided into."""
-
-    def __init__(self, low: F64, high: F64, steps: tuple[int, int, int]) -> None:
-        self.low, self.high = low, high  # [C, 3]
-        self._step = (high - low) / np.array(steps)
-
-    def at(self, chunk: NDArray[np.intp], parts: Parts) -> F64:
-        """[n, 3] what is at step ``parts`` of the ranges of chunks [n]."""
-        values = np.empty((len(chunk), 3))
-        for i, part in enumerate(parts):
-            values[:, i] = part
-        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-            values *= self._step.take(chunk, 0)
-            values += self.low.take(chunk, 0)
-        return values
+def _ranges(low: F64, high: F64, parts: Parts) -> Ranges:
+    """From ``low`` to ``high`` [C, 3], in as many steps as ``parts`` has values."""
+    return Ranges(low, (high - low) / [(1 << bits) - 1 for bits in parts.bits])
 
 
-def _ranges(
-    chunks: NDArray[np.void], names: tuple[str, ...], steps: tuple[int, int, int]
-) -> Ranges:
+def _ends(chunks: NDArray[np.void], names: tuple[str, ...]) -> tuple[F64, F64]:
+    """The lowest and highest numbers [C, 3] of the rows of element ``chunk``."""
     ends = np.stack([chunks[name] for name in names], 1).astype(np.float64)
-    return Ranges(ends[:, :3], ends[:, 3:], steps)
+    return ends[:, :3].copy(), ends[:, 3:].copy()
 
 
 class Layout:
@@ -145,20 +132,20 @@ class Layout:
         self.wide = self._beyond_float32()
 
     def _read_ranges(self, chunks: NDArray[np.void]) -> None:
-        self._positions = _ranges(chunks, POSITION_RANGE, (2047, 1023, 2047))
-        self._logs = _ranges(chunks, SCALE_RANGE, (2047, 1023, 2047))
+        self._ends = _ends(chunks, POSITION_RANGE)
+        self._positions = _ranges(*self._ends, VECTOR)
+        self._logs = _ranges(*_ends(chunks, SCALE_RANGE), VECTOR)
         low, high = np.zeros((len(chunks), 3)), np.ones((len(chunks), 3))
         if COLOR_RANGE[0] in (chunks.dtype.names or ()):
-            ranges = _ranges(chunks, COLOR_RANGE, (255, 255, 255))
-            low, high = ranges.low, ranges.high
-        self._dc = Ranges((low - 0.5) / SH_C0, (high - 0.5) / SH_C0, (255, 255, 255))
+            low, high = _ends(chunks, COLOR_RANGE)
+        self._dc = _ranges((low - 0.5) / SH_C0, (high - 0.5) / SH_C0, COLOR)
 
     def _beyond_float32(self) -> bool:
         """Whether float32 may be coarser than half the steps that a typical chunk can tell apart.
 
         Whether that is coarse for the Gaussians is decided when their sizes are known.
         """
-        low, high = self._positions.low, self._positions.high
+        low, high = self._ends
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is left out
             far = typical(np.maximum(np.abs(low), np.abs(high)).max(1))
             step = typical((high - low).max(1)) / 2047
@@ -166,48 +153,25 @@ class Layout:
 
     def means(self, rows: NDArray[np.void]) -> Floats:
         """[n, 3] the positions of ``rows``."""
-        means = self._positions.at(rows["row"] // CHUNK, _11_10_11(rows["packed_position"]))
-        if self.wide:
-            return means
-        with np.errstate(over="ignore", under="ignore"):
-            return means.astype(np.float32)
+        means = np.empty((len(rows), 3), np.float64 if self.wide else np.float32)
+        in_ranges(rows["packed"][:, 0], VECTOR, rows["row"] // CHUNK, self._positions, means)
+        return means
 
     def add(
         self, builder: SceneBuilder, to: slice | I32, rows: NDArray[np.void], raw_opacity: bool
     ) -> None:
         """Decodes ``rows``. Ranges and exp in float64: rounded once, to float32."""
-        chunk = rows["row"] // CHUNK
+        chunks = rows["row"] // CHUNK
+        position, rotation, scale, color = rows["packed"].T
         table = self._tables.room(len(rows))
-        means = self.means(rows)
-        color = rows["packed_color"]
-        rest = rows["rest"]
-        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-            table[:, MEAN] = means
-            _quats(rows["packed_rotation"], table[:, QUAT])
-            table[:, SCALE] = np.exp(self._logs.at(chunk, _11_10_11(rows["packed_scale"])))
-            table[:, OPACITY] = LEVELS[color & BYTE]
-            table[:, DC] = self._dc.at(chunk, (color >> 24, color >> 16 & BYTE, color >> 8 & BYTE))
-        if rest.shape[1]:
-            np.multiply(rest, REST_STEP, out=table[:, REST])
-            table[:, REST] += REST_LOW
-            table[:, REST][rest == 0] = -REST_MAX
-            table[:, REST][rest == 255] = REST_MAX
+        means = np.empty((len(rows), 3)) if self.wide else table[:, MEAN]
+        in_ranges(position, VECTOR, chunks, self._positions, means)
+        smallest_three(rotation, (20, 10, 0), QUATS, 30, PLACES, table[:, QUAT])
+        in_ranges(scale, VECTOR, chunks, self._logs, table[:, SCALE], exponent=True)
+        table[:, OPACITY] = LEVELS[color & np.uint32(255)]
+        in_ranges(color, COLOR, chunks, self._dc, table[:, DC])
+        look_up(rows["rest"], RESTS, table[:, REST])
         self._tables.put(builder, to, table, means if self.wide else None)
-
-
-def _11_10_11(numbers: NDArray[np.uint32]) -> Parts:
-    """The three parts of ``numbers`` [n]."""
-    return numbers >> 21, numbers >> 11 & TEN, numbers & ELEVEN
-
-
-def _quats(numbers: NDArray[np.uint32], quats: F32) -> None:
-    """``quats`` [n, 4] w, x, y, z of length 1, or longer where the smaller three are."""
-    small = [(numbers >> shift & TEN) * QUATS - 511.5 * QUATS for shift in (20, 10, 0)]
-    largest = np.sqrt(np.maximum(0, 1 - sum(part * part for part in small)))
-    which = numbers >> 30
-    for j in range(4):  # the smaller ones are in order, left and right of the largest
-        quats[:, j] = np.where(which > j, small[min(j, 2)], small[max(j - 1, 0)])
-    quats[np.arange(len(numbers)), which] = largest
 
 
 def _check(path: Path, header: Header) -> tuple[Place, Place, Place | None]:

@@ -38,11 +38,11 @@ typedef union {
 } numbers;
 
 /* To nearest, ties to even; what is beyond the largest half becomes infinite. See half.py. */
-INLINE void round_all(const numbers *in, uint16_t *halves) {
+INLINE void round_all(const numbers *in, uint16_t *halves, int most) {
     numbers small;
-    for (int i = 0; i < MOST; i++) /* 0.5's last bit is the least half */
+    for (int i = 0; i < most; i++) /* 0.5's last bit is the least half */
         small.value[i] = fabsf(in->value[i]) + 0.5f;
-    for (int i = 0; i < MOST; i++) {
+    for (int i = 0; i < most; i++) {
         int32_t size = in->bits[i] & 0x7fffffff;
         int32_t large = (size - 0x38000000 + 0xfff + (size >> 13 & 1)) >> 13;
         large = large > 0x7c00 ? 0x7c00 : large;
@@ -51,37 +51,53 @@ INLINE void round_all(const numbers *in, uint16_t *halves) {
     }
 }
 
-static float widened(uint16_t half) {
-    uint32_t magnitude = half & 0x7fff, bits = (magnitude << 13) + (112u << 23);
-    float value = (float)magnitude * 0x1p-24f; /* below the normal halves */
-    if (magnitude >= 0x7c00) return INFINITY;
-    if (magnitude >= 0x400) memcpy(&value, &bits, sizeof value);
-    return half & 0x8000 ? -value : value;
-}
+/* Sums of most / 2 numbers by channel, in pairs; the largest of them. most is 6, 12 or MOST. */
+#define SUM_CHANNELS(sums, most)                                  \
+    do {                                                          \
+        if ((most) == MOST) {                                     \
+            for (int i = 0; i < 12; i++) sums[i] += sums[12 + i]; \
+            for (int i = 0; i < 6; i++) sums[i] += sums[6 + i];   \
+        }                                                         \
+        if ((most) >= 12)                                         \
+            for (int i = 0; i < 3; i++) sums[i] += sums[3 + i];   \
+        sums[0] = sums[0] > sums[1] ? sums[0] : sums[1];          \
+        sums[0] = sums[0] > sums[2] ? sums[0] : sums[2];          \
+    } while (0)
 
-/* What rounding has done to a channel's colour, at most. */
-static double exact_error(const float *values, const uint16_t *halves, const float *peaks) {
-    double off[3] = {0, 0, 0};
-    for (int i = 0; i < MOST; i++)
-        off[i % 3] += fabs((double)widened(halves[i]) - values[i]) * peaks[i];
-    return fmax(off[0], fmax(off[1], off[2]));
+/* What rounding has done to a channel's colour, at most. A half's distance from what it was rounded from
+ * is a float. */
+INLINE double exact_error(const float *values, const uint16_t *halves, const float *peaks, int most) {
+    numbers wide;
+    float off[MOST];
+    double sums[MOST / 2];
+    int beyond = 0;
+    for (int i = 0; i < most; i++) {
+        int32_t size = halves[i] & 0x7fff;
+        float small = (float)size * 0x1p-24f; /* below the normal halves */
+        wide.bits[i] = (size << 13) + (112 << 23);
+        wide.value[i] = size < 0x400 ? small : wide.value[i];
+        beyond |= size >= 0x7c00;
+        off[i] = fabsf(wide.value[i] - fabsf(values[i]));
+    }
+    if (beyond) return INFINITY;
+    for (int i = 0; i < most / 2; i++)
+        sums[i] = (double)off[i] * peaks[i] + (double)off[most / 2 + i] * peaks[most / 2 + i];
+    SUM_CHANNELS(sums, most);
+    return sums[0];
 }
 
 /* The same without looking at what has been rounded: not below it. */
-INLINE float quick_error(const float *values, const float *peaks, float steps) {
-    float sums[24];
-    for (int i = 0; i < 24; i++)
-        sums[i] = fabsf(values[i]) * peaks[i] + fabsf(values[24 + i]) * peaks[24 + i];
-    for (int i = 0; i < 12; i++) sums[i] += sums[12 + i];
-    for (int i = 0; i < 6; i++) sums[i] += sums[6 + i];
-    float red = sums[0] + sums[3], green = sums[1] + sums[4], blue = sums[2] + sums[5];
-    float most = red > green ? red : green;
-    return (most > blue ? most : blue) * RELATIVE + steps;
+INLINE float quick_error(const float *values, const float *peaks, float steps, int most) {
+    float sums[MOST / 2];
+    for (int i = 0; i < most / 2; i++)
+        sums[i] = fabsf(values[i]) * peaks[i] + fabsf(values[most / 2 + i]) * peaks[most / 2 + i];
+    SUM_CHANNELS(sums, most);
+    return sums[0] * RELATIVE + steps;
 }
 
-INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error) {
+INLINE int decode_rows(const tsplat_rows *in, const tsplat_arrays *out, double *error, int coefficients) {
     const int32_t *offsets = in->offsets;
-    int count = 3 * in->coefficients;
+    const int count = 3 * coefficients, most = count <= 3 ? 6 : count <= 12 ? 12 : MOST;
     size_t bytes = (size_t)count * (out->half ? 2 : 4);
     float peaks[MOST] = {0}, steps = 0;
     numbers sh = {{0}};
@@ -89,6 +105,9 @@ INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error
     for (int i = 0; i < count; i++) peaks[i] = out->peaks[i];
     for (int i = 0; i < count; i += 3) steps += peaks[i];
     steps *= LEAST_STEP;
+    int in_order = 1;
+    for (int k = 0; k < count; k++)
+        in_order &= offsets[TSPLAT_SHAPE + k] == offsets[TSPLAT_SHAPE] + 4 * k;
     for (int64_t i = 0; i < in->count; i++) {
         const uint8_t *row = in->rows + i * in->stride;
         int64_t at = out->places ? out->places[i] : out->first + i;
@@ -104,7 +123,10 @@ INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error
             FETCH(out->opacities + next);
         }
         /* first, and looked at last: a vector of what was just stored one by one has to wait */
-        for (int k = 0; k < count; k++) sh.value[k] = number(row, offsets[TSPLAT_SHAPE + k]);
+        if (in_order)
+            memcpy(sh.value, row + offsets[TSPLAT_SHAPE], 4 * (size_t)count);
+        else
+            for (int k = 0; k < count; k++) sh.value[k] = number(row, offsets[TSPLAT_SHAPE + k]);
 
         float mean[3], scale[3], quat[4];
         double wide[4], sum = 0;
@@ -128,7 +150,7 @@ INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error
         sound &= opacity >= 0 && opacity <= 1;
 
         int32_t largest = 0;
-        for (int k = 0; k < MOST; k++) {
+        for (int k = 0; k < most; k++) {
             int32_t size = sh.bits[k] & 0x7fffffff;
             largest = size > largest ? size : largest;
         }
@@ -143,13 +165,22 @@ INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error
             memcpy(there, sh.value, bytes);
             continue;
         }
-        round_all(&sh, halves);
+        round_all(&sh, halves, most);
         memcpy(there, halves, bytes);
-        double bound = quick_error(sh.value, peaks, steps);
-        if (!(bound < out->close)) bound = exact_error(sh.value, halves, peaks);
+        double bound = quick_error(sh.value, peaks, steps, most);
+        if (!(bound < out->close)) bound = exact_error(sh.value, halves, peaks, most);
         if (bound > *error) *error = bound;
     }
     return 0;
+}
+
+INLINE int decode(const tsplat_rows *in, const tsplat_arrays *out, double *error) {
+    switch (in->coefficients) { /* known to the compiler, which unrolls */
+        case 1: return decode_rows(in, out, error, 1);
+        case 4: return decode_rows(in, out, error, 4);
+        case 9: return decode_rows(in, out, error, 9);
+        default: return decode_rows(in, out, error, 16);
+    }
 }
 
 static int decode_plain(const tsplat_rows *in, const tsplat_arrays *out, double *error) {

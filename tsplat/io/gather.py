@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F16, F64, I32, I64, Floats, Scene, Up
+from tsplat.core.types import F32, I32, I64, Floats, Scene, Up
 from tsplat.io.base import ReadOptions, refuse
 from tsplat.io.clean import SceneBuilder
 from tsplat.io.sweeps import scene_of
+from tsplat.io.table import in_order
 
 COUNT_FREE = 1 << 18
 """Gaussians that a file may hold however small it is: some 45 MB once they are decoded, colours in
@@ -31,17 +32,6 @@ UNPACKING = 1 / 3
 """Of the time that a compressed file takes, about what passes before rows are decoded."""
 
 
-class Gaussians(NamedTuple):
-    """Some rows of a file, decoded as :meth:`tsplat.io.clean.SceneBuilder.add` wants them."""
-
-    means: Floats  # [n, 3]
-    quats: Floats  # [n, 4]  w, x, y, z; any length
-    scales: Floats  # [n, 3]  linear
-    opacities: Floats  # [n]
-    sh: Floats | F16  # [n, K, 3]
-    sh_error: float = 0.0  # what float16 has cost, as of Scene.sh_error
-
-
 class Source(Protocol):
     """All Gaussians of a file, to be decoded a few rows at a time, by several threads at once."""
 
@@ -53,8 +43,12 @@ class Source(Protocol):
         """[n, 3] the positions of increasing ``rows``, some of which may not be finite."""
         ...
 
-    def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
-        """Everything about increasing ``rows``; coefficients may be float16 if ``half``."""
+    def fill(self, rows: slice | I64, table: F32) -> Floats | None:
+        """Unpacks increasing ``rows`` into ``table``, one of :func:`tsplat.io.table.in_order`.
+
+        Returns:
+            [n, 3] their positions in float64 if these are ``wide``.
+        """
         ...
 
 
@@ -105,15 +99,17 @@ class _Layout:
     def __init__(self, source: Source) -> None:
         self.coefficients, self.wide = source.coefficients, source.wide
         self._source = source
+        self._tables = in_order(source.coefficients)
 
     def means(self, rows: I64) -> Floats:
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             return self._source.means(_run(rows))
 
     def add(self, builder: SceneBuilder, to: slice | I32, rows: I64, raw_opacity: bool) -> None:
+        table = self._tables.room(len(rows))
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):  # builder drops those
-            found = self._source.gaussians(_run(rows), builder.half)
-        builder.add(*found[:5], to, found.sh_error)
+            means = self._source.fill(_run(rows), table)
+        self._tables.put(builder, to, table, means)
 
 
 def gather(
@@ -145,11 +141,3 @@ def stretch(options: ReadOptions, first: float, last: float) -> ReadOptions:
         options.progress(round(1000 * (first + (last - first) * done / max(total, 1))), 1000)
 
     return replace(options, progress=progress)
-
-
-def left_of_one(parts: F64) -> F64:
-    """[n] the component that makes three others [n, 3] a unit quaternion; 0 if they are too long.
-
-    In float64: of a small one float32 would leave few digits.
-    """
-    return np.asarray(np.sqrt(np.maximum(1 - np.square(parts).sum(1), 0)))

@@ -28,7 +28,8 @@ from tsplat.core.types import F32, F64, I64, UPWARDS, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.fields import ITEMS_MAX, Field, parse
-from tsplat.io.gather import Gaussians, check_count, gather
+from tsplat.io.gather import check_count, gather
+from tsplat.io.table import DC, MEAN, OPACITY, QUAT, SCALE, turned
 from tsplat.io.turn import Turn, axes
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -95,23 +96,19 @@ class Primitive:
         """[n, 3]."""
         return self.turn.means(self.columns["POSITION"].rows(rows))
 
-    def gaussians(self, rows: slice | I64, coefficients: int) -> Gaussians:
-        """Coefficients that it lacks are 0."""
-        means = self.means(rows)
-        sh = np.zeros((len(means), coefficients, 3), np.float32)
-        for k, accessor in enumerate(self.harmonics):
-            sh[:, k] = accessor.rows(rows)
+    def fill(self, rows: slice | I64, table: F32) -> Floats | None:
+        """See :class:`tsplat.io.gather.Source`. Coefficients that it lacks are 0."""
+        table[:, MEAN] = self.columns["POSITION"].rows(rows)
+        table[:, QUAT] = self.columns[f"{EXTENSION}:ROTATION"].rows(rows)[:, [3, 0, 1, 2]]
         scales: Floats = self.columns[f"{EXTENSION}:SCALE"].rows(rows)
-        if self.logarithms:
-            scales = np.exp(scales.astype(np.float64))
-        quats = self.columns[f"{EXTENSION}:ROTATION"].rows(rows)[:, [3, 0, 1, 2]]
-        return Gaussians(
-            means,
-            self.turn.quats(quats),
-            self.turn.scales(scales),
-            self.columns[f"{EXTENSION}:OPACITY"].rows(rows)[:, 0],
-            self.turn.sh(sh),
-        )
+        table[:, SCALE] = np.exp(scales.astype(np.float64)) if self.logarithms else scales
+        table[:, OPACITY] = self.columns[f"{EXTENSION}:OPACITY"].rows(rows)[:, 0]
+        end = DC.start
+        for accessor in self.harmonics:
+            table[:, end : end + 3] = accessor.rows(rows)
+            end += 3
+        table[:, end:] = 0
+        return turned(table, self.turn)
 
 
 class Splats:
@@ -149,15 +146,18 @@ class Splats:
         """See :class:`tsplat.io.gather.Source`."""
         return np.concatenate([p.means(inside) for p, inside in self._parts(rows)])
 
-    def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
+    def fill(self, rows: slice | I64, table: F32) -> Floats | None:
         """See :class:`tsplat.io.gather.Source`."""
-        parts = [p.gaussians(inside, self.coefficients) for p, inside in self._parts(rows)]
-        if len(parts) == 1:
-            return parts[0]
-        means, quats, scales, opacities, sh = (
-            np.concatenate(column) for column in zip(*(p[:5] for p in parts), strict=True)
-        )
-        return Gaussians(means, quats, scales, opacities, sh)
+        means = np.empty((len(table), 3)) if self.wide else None
+        start = 0
+        for primitive, inside in self._parts(rows):
+            part = inside.stop - inside.start if isinstance(inside, slice) else len(inside)
+            place = slice(start, start + part)
+            found = primitive.fill(inside, table[place])
+            if means is not None:
+                means[place] = table[place, MEAN] if found is None else found
+            start += part
+        return means
 
 
 class _File:

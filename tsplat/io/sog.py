@@ -16,20 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsplat.core.errors import printable
-from tsplat.core.types import F16, F32, F64, I64, U8, Floats, Scene
+from tsplat.core.types import F32, F64, I64, U8, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, check_memory, refuse, refuse_raw_opacity
 from tsplat.io.clean import sigmoid
 from tsplat.io.fields import JSON_MAX, Field, parse
-from tsplat.io.gather import (
-    UNPACKING,
-    Gaussians,
-    check_count,
-    gather,
-    left_of_one,
-    stretch,
-)
-from tsplat.io.half import SH_ERROR_MAX, SH_PEAKS
+from tsplat.io.gather import UNPACKING, check_count, gather, stretch
+from tsplat.io.table import DC, MEAN, OPACITY, QUAT, REST, SCALE
+from tsplat.io.unpack import PLACES, look_up, smallest_three
 
 META = "meta.json"
 ZIP = b"PK\x03\x04"
@@ -49,8 +43,9 @@ WORDS = 1 << 16
 TAG = 252
 """Alpha of quats.webp, and up: which of w, x, y, z is the largest."""
 
-OTHERS = np.array([[j for j in range(4) if j != largest] + [largest] for largest in range(4)])
-"""[4, 4] where the three others and the largest stand."""
+TAGGED = np.full((256, 4), -1, np.int8)
+TAGGED[TAG:] = PLACES
+"""[256, 4] PLACES by alpha; others are no rotation."""
 
 _BYTES = np.arange(256, dtype=np.float64)
 SMALLEST = (_BYTES / 255 * 2 - 1) / np.sqrt(2)
@@ -75,26 +70,21 @@ class Splats:
         self,
         count: int,
         positions: list[Meaning],
-        scales: list[F32],
-        colors: list[F32],
+        scales: F32,
+        colors: F32,
         opacities: F32,
         palette: F32 | None,
         pixels: dict[str, U8],
     ) -> None:
         """Tables of what numbers mean, by axis or channel, and ``pixels`` [N, 4] by image.
 
-        ``positions`` say what 16 bits mean, ``scales`` and ``colors`` are three of 256 entries,
-        ``opacities`` is one; ``palette`` is [P, K - 1, 3].
+        ``positions`` say what 16 bits mean, ``scales`` and ``colors`` [3, 256] and ``opacities``
+        [1, 256] what a byte does; ``palette`` is [P, 3 (K - 1)].
         """
         self.count = count
-        self.coefficients = 1 if palette is None else 1 + palette.shape[1]
+        self.coefficients = 1 if palette is None else 1 + palette.shape[1] // 3
         self._positions, self._scales, self._colors = positions, scales, colors
         self._opacities, self._palette, self._pixels = opacities, palette, pixels
-        # The tables are rounded once, not every Gaussian's coefficients
-        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            self._colors_16 = [table.astype(np.float16) for table in colors]
-            self._palette_16 = None if palette is None else palette.astype(np.float16)
-        self._error = _error(colors, self._colors_16, palette, self._palette_16)
 
     def means(self, rows: slice | I64) -> Floats:
         """See :class:`tsplat.io.gather.Source`."""
@@ -104,35 +94,17 @@ class Splats:
             means[:, axis] = meaning(low[:, axis] | high[:, axis].astype(np.uint16) << np.uint16(8))
         return means
 
-    def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
+    def fill(self, rows: slice | I64, table: F32) -> None:
         """See :class:`tsplat.io.gather.Source`."""
-        half = half and self._error < SH_ERROR_MAX
-        colored, sized = self._pixels["sh0"][rows], self._pixels["scales"][rows]
-        scales = np.empty((len(sized), 3), np.float32)
-        colors, palette = (
-            (self._colors_16, self._palette_16) if half else (self._colors, self._palette)
-        )
-        sh = np.empty((len(sized), self.coefficients, 3), np.float16 if half else np.float32)
-        for i in range(3):
-            scales[:, i] = self._scales[i][sized[:, i]]
-            sh[:, 0, i] = colors[i][colored[:, i]]
-        if palette is not None:
+        colored, quats = self._pixels["sh0"][rows], self._pixels["quats"][rows]
+        table[:, MEAN] = self.means(rows)
+        smallest_three(quats.view("<u4")[:, 0], (0, 8, 16), SMALLEST, 24, TAGGED, table[:, QUAT])
+        look_up(self._pixels["scales"][rows, :3], self._scales, table[:, SCALE])
+        look_up(colored[:, 3:], self._opacities, table[:, OPACITY : OPACITY + 1])
+        look_up(colored[:, :3], self._colors, table[:, DC])
+        if self._palette is not None:
             labels = self._pixels["shN_labels"][rows]
-            sh[:, 1:] = palette[labels[:, 0] | labels[:, 1].astype(np.uint16) << 8]
-        return Gaussians(
-            self.means(rows), self._quats(rows), scales, self._opacities[colored[:, 3]], sh,
-            self._error if half else 0.0,
-        )  # fmt: skip
-
-    def _quats(self, rows: slice | I64) -> F32:
-        pixels = self._pixels["quats"][rows]
-        parts = SMALLEST[pixels[:, :3]]
-        whole = np.concatenate([parts, left_of_one(parts)[:, None]], 1, dtype=np.float32)
-        tags = pixels[:, 3]
-        whole[tags < TAG] = 0  # no rotation: the builder drops it
-        quats = np.empty_like(whole)
-        np.put_along_axis(quats, OTHERS[np.maximum(tags, TAG) - TAG], whole, 1)
-        return quats
+            table[:, REST] = self._palette[labels[:, 0] | labels[:, 1].astype(np.uint16) << 8]
 
 
 def _position(low: float, high: float, words: NDArray[np.uint16]) -> F32:
@@ -203,7 +175,8 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
     palette = None
     if harmonics is not None:
         palette = _palette(path, harmonics, fetch, old=old)
-    check_memory(path, count, 1 if palette is None else 1 + palette.shape[1], 4 * len(images), size)
+    coefficients = 1 if palette is None else 1 + palette.shape[1] // 3
+    check_memory(path, count, coefficients, 4 * len(images), size)
     pixels: dict[str, U8] = {}
     for done, (key, name) in enumerate(images.items()):
         stretch(options, 0, UNPACKING).progress(done, len(images))
@@ -218,11 +191,11 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
                 f"{len(palette)} entries; the file is damaged",
             )
     with np.errstate(over="ignore", under="ignore"):
-        sizes = [np.exp(log).astype(np.float32) for log in logs]
-        hues = [color.astype(np.float32) for color in colors]
-        source = Splats(count, positions, sizes, hues, opacities, palette, pixels)
+        sizes = np.exp(np.stack(logs)).astype(np.float32)
+        hues = np.stack(colors).astype(np.float32)
+    source = Splats(count, positions, sizes, hues, opacities[None], palette, pixels)
     antialias = _antialias(meta)
-    degree = 0 if palette is None else DEGREES[PER_ROW * palette.shape[1]]
+    degree = 0 if palette is None else DEGREES[PER_ROW * (coefficients - 1)]
     about = f"sog {1 if old else 2}, SH {degree}{', antialiased' if antialias else ''}"
     bundle = path.name != META
     return gather(
@@ -245,29 +218,6 @@ def _listed(field: Field, key: str) -> bool:
     return found is not None and isinstance(found.value, list) and len(found.value) > 0
 
 
-def _error(
-    colors: list[F32], colors_16: list[F16], palette: F32 | None, palette_16: F16 | None
-) -> float:
-    """How far float16 may move a colour: the worst base colour's part and the worst entry's.
-
-    Not a number where a table is not: then it is for float32.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):
-        worst = max(
-            float(np.nanmax(np.abs(half.astype(np.float64) - full)) * SH_PEAKS[0])
-            for half, full in zip(colors_16, colors, strict=True)
-        )
-        if palette is None or palette_16 is None:
-            return worst
-        peaks = np.array(SH_PEAKS[1 : 1 + palette.shape[1]])
-        most = 0.0
-        for i in range(0, len(palette), PER_ROW * PER_ROW):  # float64 of all would be 70 MB
-            part = slice(i, i + PER_ROW * PER_ROW)
-            off = np.abs(palette_16[part].astype(np.float64) - palette[part])
-            most = float(np.maximum(most, np.einsum("pkc,k->pc", off, peaks).max()))  # NaN stays
-        return worst + most
-
-
 def _largest_label(labels: U8) -> int:
     high = int(labels[:, 1].max())
     return high << 8 | int(labels[labels[:, 1] == high, 0].max())
@@ -281,7 +231,7 @@ def _image(path: Path, name: Field, fetch: Fetch, least: int, most: int) -> tupl
 
 
 def _palette(path: Path, field: Field, fetch: Fetch, *, old: bool) -> F32:
-    """[P, K - 1, 3] coefficients of degree 1 and up that Gaussians share."""
+    """[P, 3 (K - 1)] coefficients of degree 1 and up that Gaussians share."""
     name = field.get("files").items(2)[0]
     most = (PALETTE_MAX // PER_ROW) * max(DEGREES)
     pixels, width = _image(path, name, fetch, 1, most)
@@ -300,7 +250,7 @@ def _palette(path: Path, field: Field, fetch: Fetch, *, old: bool) -> F32:
         table = _codebook(field)
     with np.errstate(over="ignore"):
         values = table.astype(np.float32)[pixels[:, :3]]
-    palette = values.reshape(len(pixels) // (width // PER_ROW), -1, 3)
+    palette = values.reshape(len(pixels) // (width // PER_ROW), -1)
     promised = field.maybe("count")
     return palette if promised is None else palette[: promised.integer(1, len(palette))]
 

@@ -34,16 +34,10 @@ from tsplat.io.base import (
     refuse,
     refuse_raw_opacity,
 )
-from tsplat.io.gather import (
-    UNPACKING,
-    Gaussians,
-    check_count,
-    gather,
-    left_of_one,
-    stretch,
-)
-from tsplat.io.half import SH_PEAKS
+from tsplat.io.gather import UNPACKING, check_count, gather, stretch
+from tsplat.io.table import DC, MEAN, OPACITY, QUAT, REST, SCALE, turned
 from tsplat.io.turn import Turn, axes
+from tsplat.io.unpack import PLACES, fixed_24, look_up, smallest_three
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -78,24 +72,21 @@ PLANES = ("positions", "alphas", "colors", "scales", "rotations", "sh")
 FRACTION_MAX = 30
 """Bits; 12 is usual and 23 the most that Niantic's library writes."""
 
-_BYTES = np.arange(256, dtype=np.float64)
+_BYTES = np.arange(256, dtype=np.float64)[None]
 with np.errstate(under="ignore"):
     SCALES = np.exp(_BYTES / 16 - 10).astype(np.float32)
 ALPHAS = (_BYTES / 255).astype(np.float32)
 COLORS = ((_BYTES / 255 - 0.5) / 0.15).astype(np.float32)
 SH = ((_BYTES - 128) / 128).astype(np.float32)
-SH_16 = SH.astype(np.float16)  # exactly
-COLORS_16 = COLORS.astype(np.float16)
-COLORS_ERROR = float(np.abs(COLORS_16 - COLORS.astype(np.float64)).max() * SH_PEAKS[0])
-THIRDS = _BYTES / 127.5 - 1
+THIRDS = _BYTES[0] / 127.5 - 1
 SMALLEST = np.where(np.arange(1024) & 512, -1, 1) * (np.arange(1024) & 511) / 511 * np.sqrt(0.5)
 """Ten bits, a sign and nine of size, of one of the smallest three components of a quaternion."""
 
-PLACES = np.array(
-    [[(i + 1) % 4 for i in (*(j for j in range(4) if j != largest), largest)]
-     for largest in range(4)]
-)  # fmt: skip
-"""[4, 4] where in w, x, y, z the others and the largest stand; files count x, y, z, w."""
+COUNTED = (PLACES + np.int8(1)) % np.int8(4)
+"""PLACES in w, x, y, z: files count x, y, z, w."""
+
+XYZ = np.tile(np.array([1, 2, 3, 0], np.int8), (256, 1))
+"""[256, 4] the same where w is left out, whatever follows the bytes of x, y, z."""
 
 
 @dataclass(frozen=True)
@@ -134,49 +125,39 @@ class Splats:
         self._turn = turn
         shaped = [p.reshape(head.count, s) for p, s in zip(planes, head.sizes, strict=True)]
         self._positions, self._alphas, self._colors, self._scales, self._rotations = shaped[:5]
-        self._sh = shaped[5].reshape(head.count, -1, 3)
+        self._sh = shaped[5]
 
     def means(self, rows: slice | I64) -> Floats:
         """See :class:`tsplat.io.gather.Source`."""
-        raw = np.ascontiguousarray(self._positions[rows])
-        if self._head.version == 1:
-            return self._turn.means(raw.view("<f2").astype(np.float32))
-        words = np.zeros((len(raw), 3, 4), np.uint8)
-        words[..., 1:] = raw.reshape(-1, 3, 3)
-        fixed = words.view("<i4")[..., 0] >> 8
-        return self._turn.means(fixed.astype(np.float32) * np.float32(2.0**-self._head.fraction))
+        raw = self._positions[rows]
+        means = np.empty((len(raw), 3), np.float32)
+        self._fill_means(raw, means)
+        return self._turn.means(means)
 
-    def gaussians(self, rows: slice | I64, half: bool) -> Gaussians:
+    def fill(self, rows: slice | I64, table: F32) -> None:
         """See :class:`tsplat.io.gather.Source`."""
-        half = half and self._turn.flips_sh
-        colors, sines = (COLORS_16, SH_16) if half else (COLORS, SH)
-        based = self._colors[rows]
-        sh = np.empty((len(based), self.coefficients, 3), colors.dtype)
-        sh[:, 0] = colors[based]
-        if self.coefficients > 1:
-            sh[:, 1:] = sines[self._sh[rows]]
-        return Gaussians(
-            self.means(rows),
-            self._turn.quats(self._quats(rows)),
-            self._turn.scales(SCALES[self._scales[rows]]),
-            ALPHAS[self._alphas[rows, 0]],
-            self._turn.sh(sh),
-            COLORS_ERROR if half else 0.0,
-        )
+        self._fill_means(self._positions[rows], table[:, MEAN])
+        self._fill_quats(self._rotations[rows], table[:, QUAT])
+        look_up(self._scales[rows], SCALES, table[:, SCALE])
+        look_up(self._alphas[rows], ALPHAS, table[:, OPACITY : OPACITY + 1])
+        look_up(self._colors[rows], COLORS, table[:, DC])
+        look_up(self._sh[rows], SH, table[:, REST])
+        turned(table, self._turn)
 
-    def _quats(self, rows: slice | I64) -> F32:
-        raw = np.ascontiguousarray(self._rotations[rows])
-        quats = np.empty((len(raw), 4), np.float32)
+    def _fill_means(self, raw: U8, out: F32) -> None:
+        if self._head.version == 1:
+            out[:] = np.ascontiguousarray(raw).view("<f2")
+        else:
+            fixed_24(raw, 2.0**-self._head.fraction, out)
+
+    def _fill_quats(self, raw: U8, out: F32) -> None:
         if self._head.version < 3:
-            thirds = THIRDS[raw]
-            quats[:, 1:] = thirds
-            quats[:, 0] = left_of_one(thirds)
-            return quats
-        words = raw.view("<u4")[:, 0]
-        parts = np.stack([SMALLEST[words >> shift & 1023] for shift in (20, 10, 0)], 1)
-        whole = np.concatenate([parts, left_of_one(parts)[:, None]], 1, dtype=np.float32)
-        np.put_along_axis(quats, PLACES[words >> 30], whole, 1)
-        return quats
+            four = np.zeros((len(raw), 4), np.uint8)
+            four[:, :3] = raw
+            smallest_three(four.view("<u4")[:, 0], (0, 8, 16), THIRDS, 24, XYZ, out)
+        else:
+            words = np.ascontiguousarray(raw).view("<u4")[:, 0]
+            smallest_three(words, (20, 10, 0), SMALLEST, 30, COUNTED, out)
 
 
 def _head(path: Path, raw: bytes, size: int) -> Head:

@@ -6,6 +6,8 @@ the rows of a PLY file, or NumPy where there is no C.
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from tsplat.core.constants import SH_C0
 from tsplat.core.types import F32, I32, Floats
 from tsplat.io import native
 from tsplat.io.clean import SceneBuilder
+from tsplat.io.turn import Turn
 
 MEAN, QUAT, SCALE = slice(0, 3), slice(3, 7), slice(7, 10)
 OPACITY = 10
@@ -29,6 +32,7 @@ class Tables:
 
     def __init__(self, rest: NDArray[np.integer] | None = None) -> None:
         """``rest`` [K - 1, 3]: which of the columns ``REST`` a coefficient of r, g or b is in."""
+        self._rooms = threading.local()
         order = np.empty((0, 3), np.intp) if rest is None else rest
         self.coefficients = 1 + len(order)
         self._sh = np.concatenate([np.arange(11, 14), 14 + order.reshape(-1)])
@@ -36,8 +40,15 @@ class Tables:
         self._decoder = native.table_decoder(np.concatenate([np.arange(11), self._sh]))
 
     def room(self, count: int) -> F32:
-        """A table [count, 11 + 3 K] to be filled."""
-        return np.empty((count, 11 + 3 * self.coefficients), np.float32)
+        """A table [count, 11 + 3 K] to be filled; this thread's last one is then no more.
+
+        Kept, because fresh pages would take as long as what is written to them.
+        """
+        room: F32 | None = getattr(self._rooms, "room", None)
+        if room is None or len(room) < count:
+            room = np.empty((count, 11 + 3 * self.coefficients), np.float32)
+            self._rooms.room = room
+        return room[:count]
 
     def put(
         self, builder: SceneBuilder, to: slice | I32, table: F32, means: Floats | None = None
@@ -50,3 +61,27 @@ class Tables:
             table[:, MEAN] if means is None else means, table[:, QUAT], table[:, SCALE],
             table[:, OPACITY], sh, to,
         )  # fmt: skip
+
+
+def in_order(coefficients: int) -> Tables:
+    """Tables whose columns ``REST`` are r, g, b of one coefficient after the other."""
+    return Tables(np.arange(3 * coefficients - 3).reshape(-1, 3))
+
+
+def turned(table: F32, turn: Turn) -> Floats | None:
+    """Turns what is in ``table``, one of :func:`in_order`.
+
+    Returns:
+        [n, 3] the means, where they are in float64 because they are moved as well.
+    """
+    if turn.signs is not None:
+        if (turn.signs < 0).any():
+            table *= turn.signs[: table.shape[1]]
+        return None
+    means = turn.means(table[:, MEAN])
+    table[:, MEAN] = means
+    table[:, QUAT] = turn.quats(table[:, QUAT])
+    table[:, SCALE] = turn.scales(table[:, SCALE])
+    sh = table[:, DC.start :]
+    sh[:] = turn.sh(sh.reshape(len(sh), -1, 3).copy()).reshape(sh.shape)
+    return means if means.dtype == np.float64 else None

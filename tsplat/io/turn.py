@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsplat.core.constants import SH_DEGREE_MAX
-from tsplat.core.types import F64, Floats, Scene, Up
+from tsplat.core.types import F32, F64, Floats, Scene, Up
 
 DIRECTIONS = 64
 """Where harmonics are compared; 16 would do if they were evenly spread."""
@@ -98,10 +98,18 @@ class Turn:
         """[n, 3] linear."""
         return scales if self.scale == 1 else scales * self.scale
 
-    @property
-    def flips_sh(self) -> bool:
-        """Whether coefficients change no more than their signs."""
-        return self._flips is not None
+    @cached_property
+    def signs(self) -> F32 | None:
+        """[59] what it does to 3 numbers of a mean, 4 of a quaternion, 3 of scales, an opacity and
+        48 of 16 coefficients, if it only flips some of them.
+        """
+        if self._flips is None or self._moves:
+            return None
+        ones = np.ones((1, 48), np.float32)
+        flipped = self.means(ones[:, :3]), self.quats(ones[:, :4])
+        sh = self.sh(ones.reshape(1, 16, 3).copy()).reshape(1, 48)
+        row = np.concatenate([*flipped, ones[:, :4], sh], 1, dtype=np.float32)
+        return np.asarray(row[0])
 
     @cached_property
     def _signs(self) -> NDArray[np.uint16]:
@@ -120,7 +128,7 @@ class Turn:
         return np.where(np.abs(matrix - nearest) < EXACT, nearest, matrix)
 
     def sh(self, sh: NDArray[Any]) -> NDArray[Any]:
-        """[n, K, 3], C-contiguous; float16 only where ``flips_sh``. May change its argument."""
+        """[n, K, 3], C-contiguous; float16 only if signs are all it flips. May change ``sh``."""
         k = sh.shape[1]
         if k == 1:
             return sh

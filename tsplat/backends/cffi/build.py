@@ -16,6 +16,7 @@ ROOT = HERE.parents[2]
 CONSTANTS = HERE.parents[1] / "core" / "constants.py"
 MODULE = "tsplat.backends.cffi._kernel"
 DECODER = "tsplat.io._decode"
+UNPACKER = "tsplat.io._unpack"
 ENCODER = "tsplat.presenters._encode"
 
 

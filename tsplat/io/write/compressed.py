@@ -14,8 +14,14 @@ from numpy.typing import NDArray
 
 from tsplat.core.constants import SH_C0
 from tsplat.core.types import F32, F64, I64
-from tsplat.io import compressed as layout
-from tsplat.io.compressed import CHUNK, COLOR_RANGE, PACKED, POSITION_RANGE, SCALE_RANGE
+from tsplat.io.compressed import (
+    CHUNK,
+    COLOR_RANGE,
+    PACKED,
+    POSITION_RANGE,
+    QUAT_STEP,
+    SCALE_RANGE,
+)
 from tsplat.io.write.base import (
     ROWS,
     Clipped,
@@ -91,7 +97,7 @@ def _packed(
     means = source.means(rows).astype(np.float64)
     packed[:, 0] = _quantised(means, BITS_11_10_11, ranges[:, 0:6]) @ [1 << 21, 1 << 11, 1]
     small, largest = smallest_three(source.quats(rows), (0, 1, 2, 3))
-    steps = np.clip(np.rint(small / float(layout.QUATS) + 511.5), 0, 1023).astype(np.uint32)
+    steps = np.clip(np.rint(small / QUAT_STEP + 511.5), 0, 1023).astype(np.uint32)
     packed[:, 1] = largest.astype(np.uint32) << 30 | steps @ np.array([1 << 20, 1 << 10, 1], "<u4")
     sizes = logs(source.scales(rows))
     least = _chunked(sizes).max(2).T.repeat(CHUNK, 0)[: len(sizes)] - LOGS_RANGE
