@@ -174,11 +174,11 @@ def test_up_of_cameras_is_their_mean():
         look_at(3 * (math.cos(t) * side + math.sin(t) * other + 0.6 * up), (0, 0, 0), up, 60, 9, 9)
         for t in turns
     ]
-    found = up_of_cameras(cameras, "a.json")
+    found = up_of_cameras(np.stack([c.rotation for c in cameras]), "a.json")
     np.testing.assert_allclose(found.direction, up, atol=1e-6)
     assert found.why == "upwards in the 12 pictures of a.json"
     around = [look_at((0, 0, 0), (0, 0, 1), (math.cos(t), math.sin(t), 0), 60, 9, 9) for t in turns]
-    assert up_of_cameras(around, "a.json") is None
+    assert up_of_cameras(np.stack([c.rotation for c in around]), "a.json") is None
 
 
 @pytest.mark.parametrize("begin", [YAW, math.pi / 2])

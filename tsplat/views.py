@@ -7,7 +7,6 @@ smallest or the largest coordinate: the extent is found by opacity-weighted perc
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,17 +108,21 @@ def up_of(scene: Scene) -> Up:
     return scene.up or UP
 
 
-def up_of_cameras(cameras: Sequence[Camera], where: str) -> Up | None:
-    """The mean of their upward directions, if they agree by and large; ``where`` names their file.
+def up_of_cameras(rotations: F64, where: str) -> Up | None:
+    """The mean of cameras' upward directions, if they agree by and large.
 
     People hold cameras upright: over a walk round a scene what is tilted or looks down cancels.
+
+    Args:
+        rotations: [n, 3, 3] world to camera.
+        where: the name of their file.
     """
-    mean = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
+    mean = -rotations[:, 1].mean(0)
     length = float(np.linalg.norm(mean))
     if not length >= AGREE:
         return None
     x, y, z = (round(float(value), 6) + 0.0 for value in mean / length)
-    return Up((x, y, z), f"upwards in the {len(cameras)} pictures of {where}")
+    return Up((x, y, z), f"upwards in the {len(rotations)} pictures of {where}")
 
 
 def clip_planes(distance: float) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from tsplat.io.cameras import (
     camera_to_json,
     cameras_beside,
     load_camera,
+    load_rotations,
     parse_camera_spec,
 )
 
@@ -131,6 +132,40 @@ def test_bad_transforms(tmp_path, text):
     (tmp_path / "dataparser_transforms.json").write_text("{}")
     with pytest.raises(CameraError, match="lacks transform or scale"):
         load_cameras(path)
+
+
+def test_rotations_alone_are_the_cameras(tmp_path):
+    """Of every kind of file, and of frames in a world of their own."""
+    names = {
+        "own.json": [OWN, OWN], "one.json": OWN, "inria.json": [INRIA, INRIA],
+        "mixed.json": [OWN, INRIA], "transforms.json": transforms(),
+    }  # fmt: skip
+    turn = [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7]]
+    words = json.dumps({"transform": turn, "scale": 0.5})
+    (tmp_path / "dataparser_transforms.json").write_text(words)
+    for name, data in names.items():
+        (tmp_path / name).write_text(json.dumps(data))
+        wanted = np.stack([camera.rotation for camera in load_cameras(tmp_path / name)])
+        np.testing.assert_array_equal(load_rotations(tmp_path / name), wanted, name)
+
+
+BAD_ROTATIONS = {
+    "expected rotation in every entry, 3 x 3": [INRIA, {**INRIA, "rotation": [[1], [2, 3]]}],
+    "rotation: expected 3 x 3 numbers": [{**INRIA, "rotation": [[1, 2], [3, 4]]}],
+    "rotations are off orthonormal by 3$": [INRIA, {**INRIA, "rotation": (2 * np.eye(3)).tolist()}],
+    "an empty list, expected": [],
+    "expected transform_matrix in every entry": {"frames": 7},
+    "expected an object, got int": [7],
+}
+
+
+@pytest.mark.parametrize("text", BAD_ROTATIONS)
+def test_bad_rotations(tmp_path, text):
+    """One line, and no other exception."""
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps(BAD_ROTATIONS[text]))
+    with pytest.raises(CameraError, match=text):
+        load_rotations(path)
 
 
 def test_cameras_lie_beside_or_above(tmp_path):

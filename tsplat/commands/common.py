@@ -73,17 +73,19 @@ def load_unedited(arguments: argparse.Namespace, *, exact: bool = False) -> Scen
             sh_float32=arguments.sh_float32 or exact,
             progress=progress,
         )
-    return scene if scene.up else replace(scene, up=_up_beside(Path(arguments.scene)))
+    if scene.up or getattr(arguments, "up", None) is not None:
+        return scene
+    return replace(scene, up=_up_beside(Path(arguments.scene)))
 
 
 def _up_beside(scene: Path) -> Up | None:
     """What the cameras that lie beside a scene say of its up; nothing if they cannot be read."""
-    from tsplat.io.cameras import cameras_beside, load_cameras
+    from tsplat.io.cameras import cameras_beside, load_rotations
     from tsplat.views import up_of_cameras
 
     try:
         beside = cameras_beside(scene)
-        return up_of_cameras(load_cameras(beside), beside.name) if beside else None
+        return up_of_cameras(load_rotations(beside), beside.name) if beside else None
     except (CameraError, OSError):
         return None
 

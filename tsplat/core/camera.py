@@ -16,6 +16,9 @@ from tsplat.core.constants import FAR, FAR_MAX, NEAR
 from tsplat.core.errors import CameraError
 from tsplat.core.types import F64
 
+ROTATION_SLACK = 1e-3
+"""How far rows of a rotation may be off orthonormal."""
+
 PIXELS_MAX = 2**28
 """Pixels in one picture: 4 GiB of float32 RGB and transmittance."""
 
@@ -73,7 +76,7 @@ class Camera:
             )
         with np.errstate(all="ignore"):  # what overflows is far off, or not a number
             off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-        if not off <= 1e-3:
+        if not off <= ROTATION_SLACK:
             raise CameraError(
                 f"Camera.viewmat: expected a rotation, but rows are off orthonormal by {off:.3g}. "
                 "Scale and shear belong into the scene."
