@@ -53,6 +53,9 @@ HEADINGS = (
     "file", "format", "Gaussians", "MB", "ms", "CPU ms", "ns each", "MB/s", "peak, MB", "PSNR",
     "of what fits",
 )  # fmt: skip
+ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+"""Of processes: an installed package is compiled."""
+
 OTHERS = "process, ms", "splat-transform, ms", "gsply, ms"
 SIZE = 640, 360
 
@@ -62,7 +65,7 @@ def measure(path: Path, runs: int) -> list[str]:
     rows = []
     for _ in range(runs):
         command = [sys.executable, "-c", LOAD, str(path)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=ENVIRONMENT)
         rows.append(done.stdout.strip().split("\t"))
     seconds, cpu = (min(float(row[i]) for row in rows) for i in (0, 1))
     peak = max(float(row[2]) for row in rows)
@@ -79,7 +82,7 @@ def seconds_of(command: list[str], runs: int) -> float | None:
     best = float("inf")
     for _ in range(runs):
         begin = time.perf_counter()
-        if subprocess.run(command, capture_output=True, check=False).returncode:
+        if subprocess.run(command, capture_output=True, env=ENVIRONMENT, check=False).returncode:
             return None
         best = min(best, time.perf_counter() - begin)
     return best
