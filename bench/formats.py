@@ -4,8 +4,9 @@
     python bench/formats.py --million                              # a million Gaussians a format
 
 Every load is a process of its own with the file in the page cache, whose CPU time, too, is that of
-``load_scene`` alone; quoted are minima. Peak memory is the largest resident set less what it was
-before the load. PSNR (dB) is of pictures of 640x360 from the default view of the first scene;
+``load_scene`` alone; quoted are minima. The floor is what one thread takes to read the file and
+to write as many bytes as the scene has, decoding nothing. Peak memory is the largest resident set
+less what it was before the load. PSNR (dB) is of pictures of 640x360 from the default view of the first scene;
 ``of what fits`` is that against its Gaussians with no more than a format of that degree can hold:
 base colours within 0..1 in .splat and ksplat, all coefficients within what SPZ has bytes for. Files
 whose writer left a PLY's axes as they were, where the format has others, are turned by 180 degrees
@@ -39,7 +40,20 @@ before = peak()
 begin, cpu = time.perf_counter(), time.process_time()
 scene = tsplat.load_scene(sys.argv[1])
 end, used = time.perf_counter(), time.process_time()
-print(end - begin, used - cpu, (peak() - before) * 1024, len(scene), scene.source, sep="\t")
+arrays = scene.means, scene.quats, scene.scales, scene.opacities, scene.sh
+size = sum(array.nbytes for array in arrays)
+print(end - begin, used - cpu, (peak() - before) * 1024, len(scene), size, scene.source, sep="\t")
+"""
+FLOOR = r"""
+import sys, time
+import numpy as np
+room = np.zeros(1 << 20, np.uint8)
+begin = time.perf_counter()
+with open(sys.argv[1], "rb", buffering=0) as file:
+    while file.readinto(room):
+        pass
+np.empty(int(sys.argv[2]), np.uint8).fill(1)
+print(time.perf_counter() - begin)
 """
 GSPLY = r"""
 import sys, time, gsply
@@ -50,8 +64,8 @@ read(sys.argv[1])
 print(time.perf_counter() - begin)
 """
 HEADINGS = (
-    "file", "format", "Gaussians", "MB", "ms", "CPU ms", "ns each", "MB/s", "peak, MB", "PSNR",
-    "of what fits",
+    "file", "format", "Gaussians", "MB", "floor, ms", "ms", "CPU ms", "ns each", "MB/s", "peak, MB",
+    "PSNR", "of what fits",
 )  # fmt: skip
 ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 """Of processes: an installed package is compiled."""
@@ -69,11 +83,16 @@ def measure(path: Path, runs: int) -> list[str]:
         rows.append(done.stdout.strip().split("\t"))
     seconds, cpu = (min(float(row[i]) for row in rows) for i in (0, 1))
     peak = max(float(row[2]) for row in rows)
-    count, source, size = int(rows[0][3]), rows[0][4], path.stat().st_size
+    count, source, size = int(rows[0][3]), rows[0][5], path.stat().st_size
+    command = [sys.executable, "-c", FLOOR, str(path), rows[0][4]]
+    floor = min(
+        float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+        for _ in range(runs)
+    )
     return [
-        path.name, source, f"{count:,}", f"{size / 1e6:.1f}", f"{seconds * 1e3:.0f}",
-        f"{cpu * 1e3:.0f}", f"{cpu / count * 1e9:.0f}", f"{size / seconds / 1e6:.0f}",
-        f"{peak / 1e6:.0f} ({peak / size:.1f} files)",
+        path.name, source, f"{count:,}", f"{size / 1e6:.1f}", f"{floor * 1e3:.0f}",
+        f"{seconds * 1e3:.0f}", f"{cpu * 1e3:.0f}", f"{cpu / count * 1e9:.0f}",
+        f"{size / seconds / 1e6:.0f}", f"{peak / 1e6:.0f} ({peak / size:.1f} files)",
     ]  # fmt: skip
 
 
