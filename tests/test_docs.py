@@ -12,7 +12,8 @@ from hypothesis import Phase, settings
 from tests.conftest import ROOT
 from tests.viewer.rules import VIEW
 from tsplat import Frame, Terminal, hookspecs
-from tsplat.cli import COMMANDS, VIEW_EXAMPLES, make_parser
+from tsplat.cli import COMMANDS, make_parser
+from tsplat.commands.texts import VIEW_EXAMPLES
 from tsplat.core.errors import ContractError
 from tsplat.core.params import KNOBS
 from tsplat.plugins import OWN, find_plugins
