@@ -1,7 +1,7 @@
 """Builds what is optional and in C: kernel, decoder, unpacker, encoder; see pyproject.toml, too.
 
 Without a working compiler the install still succeeds: the compiler's complaint is kept in
-``build_error.txt`` beside what was not built; the backend quotes its own when asked why it is
+``NAME.build_error.txt`` beside what was not built; the backend quotes its own when asked why it is
 unavailable.
 """
 
@@ -65,7 +65,8 @@ class BuildKernel(build_ext):
     def build_extension(self, ext):
         """Builds ``ext``, or writes down why that failed."""
         root = Path() if self.inplace else Path(self.build_lib)
-        report = root.joinpath(*ext.name.split(".")[:-1], "build_error.txt")
+        *package, name = ext.name.split(".")
+        report = root.joinpath(*package, f"{name}.build_error.txt")
         report.unlink(missing_ok=True)
         if self.compiler.compiler_type == "msvc":
             ext.extra_compile_args = MSVC_FLAGS

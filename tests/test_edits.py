@@ -13,6 +13,7 @@ from tsplat.core.errors import ParamsError, SceneError
 from tsplat.core.params import RenderParams
 from tsplat.core.workspace import Workspace
 from tsplat.edits import LUMA, NOTHING, Box, Edits, edited, filtered
+from tsplat.io.clean import SH_MAX
 from tsplat.plan import make_plan
 from tsplat.testing.strategies import make_scene
 
@@ -97,6 +98,12 @@ def test_logits_that_were_none(scene):
     np.testing.assert_allclose(back, np.clip(raw, 0, 1), atol=1e-6)
     certain = replace(scene, opacities=np.ones_like(scene.opacities))
     assert (edited(certain, Edits(raw_opacity=True)).opacities == 1).all()
+
+
+def test_colours_too_large_to_mix_are_clipped(scene):
+    """Without a warning, to the largest that a colour can be made of."""
+    large = replace(scene, sh=np.full_like(scene.sh, SH_MAX))
+    assert np.abs(edited(large, Edits(saturation=10.0)).sh).max() <= SH_MAX
 
 
 def test_colours_that_are_off_stay_within_what_is_said(scene):

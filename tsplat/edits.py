@@ -195,7 +195,8 @@ def _saturated(scene: Scene, factor: float) -> Scene:
     sh = np.empty(scene.sh.shape, np.float32)
     for start in range(0, len(sh), ROWS):
         part = slice(start, start + ROWS)
-        np.matmul(scene.sh[part].astype(np.float32), mix, out=sh[part])
+        with np.errstate(over="ignore"):  # and is clipped
+            np.matmul(scene.sh[part].astype(np.float32), mix, out=sh[part])
     np.clip(sh, -SH_MAX, SH_MAX, out=sh)
     grown = float(np.abs(mix).sum(axis=0).max())
     return replace(scene, sh=sh, sh_error=scene.sh_error * grown)

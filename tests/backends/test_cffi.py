@@ -54,7 +54,7 @@ def test_no_machine_specific_flags():
 
 def test_without_the_kernel_the_reason_and_remedy_are_given(monkeypatch, tmp_path):
     """The compiler's complaint, kept at install, is quoted; so is what to do."""
-    (tmp_path / "build_error.txt").write_text("CompileError: command 'cc' failed\n")
+    (tmp_path / "_kernel.build_error.txt").write_text("CompileError: command 'cc' failed\n")
     monkeypatch.setattr(package, "find_spec", lambda name: None)
     monkeypatch.setattr(package, "__file__", str(tmp_path / "__init__.py"))
     reason = package.unavailable()

@@ -152,9 +152,15 @@ def test_rotations_alone_are_the_cameras(tmp_path):
 BAD_ROTATIONS = {
     "expected rotation in every entry, 3 x 3": [INRIA, {**INRIA, "rotation": [[1], [2, 3]]}],
     "rotation: expected 3 x 3 numbers": [{**INRIA, "rotation": [[1, 2], [3, 4]]}],
-    "rotations are off orthonormal by 3$": [INRIA, {**INRIA, "rotation": (2 * np.eye(3)).tolist()}],
+    "expected rotations, but rows are off orthonormal by 3;": [
+        INRIA,
+        {**INRIA, "rotation": (2 * np.eye(3)).tolist()},
+    ],
     "an empty list, expected": [],
-    "expected transform_matrix in every entry": {"frames": 7},
+    "frames: expected a list of at least one camera": {"frames": 7},
+    "expected transform_matrix in every entry, 4 x 4": transforms(frames=[{}]),
+    "rotation: expected 3 x 3 numbers in every": [{**INRIA, "rotation": [["1"] * 3] * 3}],
+    "off orthonormal by": transforms(frames=[{"transform_matrix": [[1e308] * 4] * 4}]),
     "expected an object, got int": [7],
 }
 

@@ -136,6 +136,38 @@ def test_one_mesh_in_two_nodes_is_there_twice(tmp_path):
     np.testing.assert_allclose(scene.means[3:] - scene.means[:3], [[0, 0, 100]] * 3, atol=1e-5)
 
 
+def test_quaternions_of_any_length_in_a_turned_node(tmp_path):
+    """As large and as small as float32 goes: they are turned before anything is rounded."""
+    arrays = random_arrays(4, 0)
+    unit = arrays["quats"].astype(np.float64)
+    arrays["quats"] = np.array([[3e38, 0, 0, 0], [1e-45, 0, 0, 0], [2.5e38] * 4, unit[3]], "f4")
+    (tmp_path / "a.glb").write_bytes(turned_by(arrays, [0.6, 0, 0, 0.8]))
+    found = load_scene(tmp_path / "a.glb")
+    arrays["quats"] = np.array([[1, 0, 0, 0], [1, 0, 0, 0], [0.5] * 4, unit[3]], "f4")
+    (tmp_path / "b.glb").write_bytes(turned_by(arrays, [0.6, 0, 0, 0.8]))
+    np.testing.assert_allclose(found.quats, load_scene(tmp_path / "b.glb").quats, atol=1e-7)
+
+
+def turned_by(arrays, rotation):
+    """A file of one node."""
+    builder = Builder()
+    builder.node(builder.primitive(arrays), rotation=rotation)
+    return builder.glb()
+
+
+def test_a_scaled_node_far_away_keeps_its_detail(tmp_path):
+    """Positions near 1e6 that are scaled and moved back are worked out in float64."""
+    arrays = random_arrays(50, 0)
+    arrays["means"] = (arrays["means"] + np.float32(1e6)).astype(np.float32)
+    arrays["scales"][:] = 1e-4
+    builder = Builder()
+    builder.node(builder.primitive(arrays), scale=[0.1] * 3, translation=[-1e5] * 3)
+    (tmp_path / "a.glb").write_bytes(builder.glb())
+    scene = load_scene(tmp_path / "a.glb")
+    wanted = (arrays["means"].astype(np.float64) * 0.1 - 1e5) * [-1, -1, 1]
+    np.testing.assert_allclose(scene.means + scene.origin, wanted, atol=1e-6)
+
+
 def test_a_scene_far_away_keeps_its_detail(tmp_path):
     """A node a million units away becomes the origin, not a loss of digits."""
     arrays = random_arrays(50, 0)

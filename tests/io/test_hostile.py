@@ -50,6 +50,14 @@ def many_meshes_of_many(root):
     many_nodes(root)
 
 
+def one_mesh_400_times():
+    """Gaussians that stand in the file once and would be in the scene over and over."""
+    builder = gltfwriter.one(gltfwriter.random_arrays(2000, 3))
+    builder.root["nodes"] = [{"mesh": 0}] * 400
+    builder.root["scenes"][0]["nodes"] = list(range(400))
+    return builder.glb()
+
+
 def many_roots(root):
     root["scenes"][0]["nodes"] = [0] * 20_000
 
@@ -80,6 +88,8 @@ HOSTILE = {
         lambda: gltf(many_nodes), "more than 1024 primitives of splats, expected at most"),
     "glTF: 1,500 primitives in 1,500 nodes": (
         lambda: gltf(many_meshes_of_many), "more than 1024 primitives of splats"),
+    "glTF: one large mesh in 400 nodes": (
+        one_mesh_400_times, r"promises \d+ Gaussians of 16 coefficients, 69 MB"),
     "glTF: 20,000 roots": (
         lambda: gltf(many_roots), r"scenes\[0\].nodes: expected at most 16384 items"),
     "glTF: 20,000 children": (

@@ -12,10 +12,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.io import gltfwriter, sogwriter, spzwriter
 from tests.io.loading import in_file_order
 from tests.io.splatwriter import C0, drawn, write_compressed, write_ksplat, write_splat
 from tsplat.core.errors import SceneError
-from tsplat.io import curve, load_scene, native, sweeps
+from tsplat.io import curve, load_scene, native, sweeps, unpack
 from tsplat.io.base import sample_rows
 
 ULP = 2.0**-23
@@ -187,12 +188,43 @@ def test_smaller_numbers_of_a_quaternion_that_are_too_large(tmp_path):
     np.testing.assert_allclose(loaded(path).quats[0], [0, *[3**-0.5] * 3], atol=1e-6)
 
 
+def write_gltf(path, g, **node):
+    """A glTF of as many Gaussians as ``g`` has, others, in a node that may turn and move them."""
+    builder = gltfwriter.Builder()
+    builder.node(builder.primitive(gltfwriter.random_arrays(len(g.means), 2)), **node)
+    path.write_bytes(builder.glb())
+
+
+def write_sog(path, g):
+    """A SOG of as many."""
+    path.write_bytes(sogwriter.bundle(*sogwriter.random_scene(len(g.means), 2)[:2]))
+
+
+def write_spz(path, g, version=3):
+    """An SPZ of as many."""
+    n = len(g.means)
+    planes = spzwriter.random_planes(n, version, 2)
+    path.write_bytes(spzwriter.packed(n, version, 2, planes))
+
+
+def write_turned(path, g):
+    """A glTF whose colours are turned as well, and whose positions are float64."""
+    write_gltf(path, g, rotation=[0.6, 0, 0, 0.8], translation=[1, 2, 3], scale=[2, 2, 2])
+
+
 FORMATS = {
     "splat": write_splat,
     "ksplat 0": lambda path, g: write_ksplat(path, [(g, 2)], 0),
     "ksplat 1": lambda path, g: write_ksplat(path, [(g, 2)], 1, bucket=16),
     "ksplat 2": lambda path, g: write_ksplat(path, [(g, 1), (g, 2)], 2, bucket=16),
     "compressed": write_compressed,
+}
+OTHERS = {
+    "spz 2": lambda path, g: write_spz(path, g, 2),
+    "spz 3": write_spz,
+    "sog": write_sog,
+    "gltf": write_gltf,
+    "gltf, turned": write_turned,
 }
 
 
@@ -204,35 +236,56 @@ def file(request, tmp_path):
     return path
 
 
+@pytest.fixture(params=FORMATS | OTHERS)
+def any_file(request, tmp_path):
+    """The same, in other formats, too, whose numbers are any."""
+    path = tmp_path / "scene"
+    (FORMATS | OTHERS)[request.param](path, drawn(500, 2))
+    return path
+
+
 def assert_same(a, b):
     for name in ("means", "quats", "scales", "opacities", "sh"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), name)
 
 
-def test_a_sample_is_of_the_rows_that_it_is_of_in_ply(file, small):
+def test_a_sample_is_of_the_rows_that_it_is_of_in_ply(any_file, small):
     """max_splats picks rows of the file as base.sample_rows says, and counts the others."""
-    whole, some = loaded(file), loaded(file, max_splats=320)
+    whole, some = loaded(any_file), loaded(any_file, max_splats=320)
     assert_same(some, whole.take(sample_rows(len(whole), 320)))
     assert dict(some.dropped) == {"beyond max_splats": len(whole) - 320}
-    few = loaded(file, max_splats=7)
+    few = loaded(any_file, max_splats=7)
     assert_same(few, whole.take(sample_rows(len(whole), 7)))
 
 
-def test_rows_lie_along_the_curve(file, small):
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_sample_may_leave_whole_chunks_out(any_file, small, monkeypatch, compiled):
+    """One row of all, of which most chunks have none; so does the last of a few."""
+    whole = loaded(any_file)
+    if not compiled:
+        monkeypatch.setattr(native, "lib", None)
+        monkeypatch.setattr(unpack, "lib", None)
+    for keep in (1, 2, 5):
+        some = loaded(any_file, max_splats=keep)
+        assert_same(some, whole.take(sample_rows(len(whole), keep)))
+
+
+def test_rows_lie_along_the_curve(any_file, small):
     """They are moved where they are many, with numbers that say where they were."""
-    scene = load_scene(file)
+    scene = load_scene(any_file)
     assert (np.diff(scene.numbers) < 0).any()
     np.testing.assert_array_equal(np.sort(scene.numbers), np.arange(len(scene)))
     np.testing.assert_array_equal(curve.rows_along_curve(scene.means), np.arange(len(scene)))
 
 
-def test_c_and_numpy_agree(file, small, monkeypatch):
+def test_c_and_numpy_agree(any_file, small, monkeypatch):
     """Without a compiler the arrays have the same bits, in float16 as in float32."""
-    with_c = [load_scene(file), load_scene(file, sh_float32=True)]
+    with_c = [load_scene(any_file), load_scene(any_file, sh_float32=True)]
     assert native.lib is not None
     monkeypatch.setattr(native, "lib", None)
+    monkeypatch.setattr(unpack, "lib", None)
     for mine, wide in zip(with_c, (False, True), strict=True):
-        assert_same(mine, load_scene(file, sh_float32=wide))
+        assert_same(mine, load_scene(any_file, sh_float32=wide))
 
 
 def test_colours_are_kept_in_float16_where_that_will_do(file):

@@ -15,9 +15,12 @@ from tests.io import spzwriter
 from tests.io.loading import covariances, in_file_order, refusal, scene_or_line
 from tests.io.mutate import damaged
 from tests.io.spzwriter import NO_ZSTD, header, packed, random_planes
-from tsplat.io import curve, load_scene, spz, sweeps
+from tsplat.core.errors import OutputError
+from tsplat.io import curve, load_scene, save_scene, spz, sweeps
 from tsplat.io.gather import COUNT_FREE
 from tsplat.io.turn import axes
+from tsplat.io.write import spz as write_spz
+from tsplat.io.write.base import WriteOptions
 
 needs_zstd = pytest.mark.skipif(not spzwriter.HAVE_ZSTD, reason=NO_ZSTD)
 VERSIONS = [1, 2, 3, pytest.param(4, marks=needs_zstd)]
@@ -259,12 +262,17 @@ def test_without_zstd_it_says_what_to_install(tmp_path, monkeypatch):
     def missing():
         raise ImportError
 
-    monkeypatch.setattr(spz, "_zstd", missing)
+    monkeypatch.setattr(spz, "zstd_module", missing)
     content = header(2, 4, 0, last=5) + struct.pack("<I12x", 32) + bytes(5 * 16)
     (tmp_path / "a").write_bytes(content)
     assert "pip install backports.zstd" in refusal(tmp_path / "a")
     write(tmp_path / "old", 2, 3, 0)
-    assert len(load_scene(tmp_path / "old")) == 2
+    scene = load_scene(tmp_path / "old")
+    assert len(scene) == 2
+    monkeypatch.setattr(write_spz, "zstd_module", missing)
+    with pytest.raises(OutputError, match=r"new.spz: .*backports.zstd; or write version 3"):
+        save_scene(scene, tmp_path / "new.spz", options=WriteOptions(version=4))
+    assert not (tmp_path / "new.spz").exists()
 
 
 def test_raw_opacity_has_no_meaning(tmp_path):

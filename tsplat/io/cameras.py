@@ -93,32 +93,45 @@ def load_rotations(path: str | os.PathLike[str]) -> F64:
     data = _json(Path(path), shown)
     if isinstance(data, dict) and "frames" in data:
         world, _ = _world(Path(path))
-        placed = _stacked(data["frames"], "transform_matrix", 4, shown)[:, :3, :3] * OPENGL[:3]
-        rotations = (world[:3, :3] @ placed).transpose(0, 2, 1)
-    elif (
-        isinstance(data, list)
-        and data
-        and all(isinstance(e, dict) and "rotation" in e for e in data)
-    ):
+        placed = _stacked(_frames(data, shown), "transform_matrix", 4, shown)[:, :3, :3]
+        with np.errstate(all="ignore"):  # what overflows is no rotation
+            rotations = (world[:3, :3] @ (placed * OPENGL[:3])).transpose(0, 2, 1)
+    elif isinstance(data, list) and data and all(map(_inria, data)):
         rotations = _stacked(data, "rotation", 3, shown).transpose(0, 2, 1)
     else:
         rotations = np.stack([camera.rotation for camera in load_cameras(path)])
     with np.errstate(all="ignore"):  # what overflows is no rotation
         off = float(np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max())
     if not off <= ROTATION_SLACK:
-        raise CameraError(f"{shown}: rotations are off orthonormal by {off:.3g}")
+        raise CameraError(
+            f"{shown}: expected rotations, but rows are off orthonormal by {off:.3g}; "
+            "scale and shear belong into the scene"
+        )
     return np.asarray(rotations, np.float64)
 
 
 def _stacked(entries: Any, key: str, size: int, shown: str) -> F64:
     """[n, size, size] what all ``entries`` say of ``key``."""
     try:
-        stacked = np.array([entry[key] for entry in entries], np.float64)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        stacked = np.array([entry[key] for entry in entries])
+    except (KeyError, TypeError, ValueError) as error:  # none, or lists of other lengths
         raise CameraError(f"{shown}: expected {key} in every entry, {size} x {size}") from error
-    if not len(stacked) or stacked.shape[1:] != (size, size):
+    if stacked.dtype.kind not in "iuf" or stacked.shape[1:] != (size, size):
         raise CameraError(f"{shown}: {key}: expected {size} x {size} numbers in every entry")
-    return stacked
+    return stacked.astype(np.float64)
+
+
+def _inria(entry: object) -> bool:
+    """Whether it is a camera in INRIA's way of writing."""
+    return isinstance(entry, dict) and "viewmat" not in entry and "position" in entry
+
+
+def _frames(data: dict[str, Any], shown: str) -> list[Any]:
+    """Those of a ``transforms.json``."""
+    frames = data["frames"]
+    if not isinstance(frames, list) or not frames:
+        raise CameraError(f"{shown}: frames: expected a list of at least one camera")
+    return frames
 
 
 def cameras_beside(scene: Path) -> Path | None:
@@ -137,9 +150,7 @@ def cameras_beside(scene: Path) -> Path | None:
 def _transforms(path: Path, data: dict[str, Any]) -> list[Camera]:
     """The cameras of a ``transforms.json``."""
     shown = printable(path)
-    frames = data["frames"]
-    if not isinstance(frames, list) or not frames:
-        raise CameraError(f"{shown}: frames: expected a list of at least one camera")
+    frames = _frames(data, shown)
     world, scale = _world(path)
     cameras = []
     for index, frame in enumerate(frames):
@@ -164,6 +175,7 @@ def _world(path: Path) -> tuple[F64, float]:
     return world, scale
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what overflows is no Camera
 def _transformed(entry: dict[str, Any], world: F64, scale: float) -> Camera:
     """One frame of a ``transforms.json``, moved by ``world`` [4, 4] and then scaled."""
     missing = [key for key in ("transform_matrix", "w", "h") if key not in entry]
@@ -234,6 +246,7 @@ def camera_to_json(camera: Camera) -> dict[str, Any]:
     }
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what overflows is no Camera
 def camera_from_json(entry: object) -> Camera:
     """The camera that one JSON object describes.
 
@@ -242,7 +255,7 @@ def camera_from_json(entry: object) -> Camera:
     """
     if not isinstance(entry, dict):
         raise CameraError(f"expected an object, got {type(entry).__name__}")
-    keys = INRIA if "viewmat" not in entry and "position" in entry else OWN
+    keys = INRIA if _inria(entry) else OWN
     missing = [key for key in keys if key not in entry]
     if missing:
         raise CameraError(
@@ -278,9 +291,12 @@ def _numbers(value: object, key: str, shape: tuple[int, ...]) -> F64:
     if not _has_shape(value, shape):
         raise CameraError(f"{key}: expected {wanted}, got {printable(repr(value), 60)}")
     try:
-        return np.array(value, np.float64)
+        numbers = np.array(value, np.float64)
     except OverflowError as error:
         raise CameraError(f"{key}: expected {wanted} within the range of float64") from error
+    if not np.isfinite(numbers).all():
+        raise CameraError(f"{key}: expected {wanted} within the range of float64")
+    return numbers
 
 
 def _has_shape(value: object, shape: tuple[int, ...]) -> bool:

@@ -291,6 +291,16 @@ def _normalised(quats: Floats) -> tuple[F64, F64]:
     return wide.T, lengths
 
 
+def median(values: NDArray[np.floating]) -> float:
+    """Of those that are finite; 0 of none. NumPy's would import numpy.ma."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return 0.0
+    middle = [(len(finite) - 1) // 2, len(finite) // 2]
+    low, high = np.partition(finite, middle)[middle].astype(np.float64) / 2
+    return float(low + high)
+
+
 def detail_origin(means: Floats, scales: F32) -> F64:
     """[3] what to subtract from float64 ``means`` before they become float32; often zero.
 
@@ -300,11 +310,10 @@ def detail_origin(means: Floats, scales: F32) -> F64:
     """
     if not len(means):
         return np.zeros(3)
-    far = float(np.median(np.abs(means), axis=0).max())
-    typical = float(np.median(scales.max(1)))
-    if far * 2.0**-24 <= DETAIL * typical:
+    far = max(median(np.abs(column)) for column in means.T)
+    if far * 2.0**-24 <= DETAIL * median(scales.max(1)):
         return np.zeros(3)
-    return np.asarray(np.median(means, axis=0), np.float64)
+    return np.array([median(column) for column in means.T])
 
 
 def _floats(name: str, array: ArrayLike, shape: tuple[int | str, ...]) -> Floats:

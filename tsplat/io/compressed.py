@@ -23,9 +23,9 @@ from tsplat.core.constants import SH_C0
 from tsplat.core.types import F64, I32, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
-from tsplat.io.clean import SceneBuilder
+from tsplat.io.clean import SceneBuilder, median
 from tsplat.io.says import says_antialias, says_up
-from tsplat.io.sweeps import Bytes, scene_of, typical
+from tsplat.io.sweeps import Bytes, scene_of
 from tsplat.io.table import DC, LEVELS, MEAN, OPACITY, QUAT, REST, SCALE, Tables
 from tsplat.io.unpack import PLACES, Parts, Ranges, in_ranges, look_up, smallest_three
 
@@ -147,8 +147,8 @@ class Layout:
         """
         low, high = self._ends
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is left out
-            far = typical(np.maximum(np.abs(low), np.abs(high)).max(1))
-            step = typical((high - low).max(1)) / 2047
+            far = median(np.maximum(np.abs(low), np.abs(high)).max(1))
+            step = median((high - low).max(1)) / 2047
         return far * 2.0**-24 > step / 2
 
     def means(self, rows: NDArray[np.void]) -> Floats:
@@ -168,7 +168,7 @@ class Layout:
         in_ranges(position, VECTOR, chunks, self._positions, means)
         smallest_three(rotation, (20, 10, 0), QUATS, 30, PLACES, table[:, QUAT])
         in_ranges(scale, VECTOR, chunks, self._logs, table[:, SCALE], exponent=True)
-        table[:, OPACITY] = LEVELS[color & np.uint32(255)]
+        look_up(color.astype(np.uint8)[:, None], LEVELS, table[:, OPACITY])  # the lowest
         in_ranges(color, COLOR, chunks, self._dc, table[:, DC])
         look_up(rows["rest"], RESTS, table[:, REST])
         self._tables.put(builder, to, table, means if self.wide else None)

@@ -7,6 +7,7 @@ import numpy as np
 from tsplat.core.curve import curve_order
 from tsplat.core.types import I32, Floats
 from tsplat.io import native
+from tsplat.io.clean import median
 
 ROWS_MIN = 1 << 14
 """Scenes of fewer rows stay as they are: caches hold them."""
@@ -14,10 +15,10 @@ ROWS_MIN = 1 << 14
 
 def rows_along_curve(means: Floats) -> I32:
     """Rows [N] of ``means`` [N, 3] along the curve; some may not be finite, and lie anywhere."""
-    if means.dtype == np.float64 and np.isfinite(means[:, 0]).any():
-        middle = np.nanmedian(means, axis=0)  # far from zero float32 would see few places
+    if means.dtype == np.float64:  # far from zero float32 would see few places
+        middle = [median(column) for column in means.T]
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-            means = means - np.where(np.isfinite(middle), middle, 0)
+            means = means - middle
     with np.errstate(over="ignore", under="ignore"):
         return curve_order(np.ascontiguousarray(means, np.float32), native.curve_keys)
 

@@ -26,7 +26,14 @@ from numpy.typing import NDArray
 from tsplat.core.errors import printable
 from tsplat.core.types import F32, F64, I64, UPWARDS, Floats, Scene, Up
 from tsplat.hookspecs import hookimpl
-from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
+from tsplat.io.base import (
+    Read,
+    Reader,
+    ReadOptions,
+    check_memory,
+    refuse,
+    refuse_raw_opacity,
+)
 from tsplat.io.fields import ITEMS_MAX, Field, parse
 from tsplat.io.gather import check_count, gather
 from tsplat.io.table import DC, MEAN, OPACITY, QUAT, SCALE, turned
@@ -102,7 +109,7 @@ class Primitive:
         table[:, QUAT] = self.columns[f"{EXTENSION}:ROTATION"].rows(rows)[:, [3, 0, 1, 2]]
         scales: Floats = self.columns[f"{EXTENSION}:SCALE"].rows(rows)
         table[:, SCALE] = np.exp(scales.astype(np.float64)) if self.logarithms else scales
-        table[:, OPACITY] = self.columns[f"{EXTENSION}:OPACITY"].rows(rows)[:, 0]
+        table[:, OPACITY] = self.columns[f"{EXTENSION}:OPACITY"].rows(rows)
         end = DC.start
         for accessor in self.harmonics:
             table[:, end : end + 3] = accessor.rows(rows)
@@ -139,7 +146,8 @@ class Splats:
             else:
                 low, high = np.searchsorted(rows, (start, stop))
                 inside = rows[low:high] - start
-            parts.append((self._primitives[i], inside))
+            if isinstance(inside, slice) or len(inside):
+                parts.append((self._primitives[i], inside))
         return parts
 
     def means(self, rows: slice | I64) -> Floats:
@@ -449,7 +457,6 @@ def _columns(file: _File, field: Field) -> tuple[dict[str, Accessor], tuple[Acce
         refuse(file.path, f"{field.place}.mode: expected 0 (points) of splats")
     more = field.get("extensions").get(EXTENSION).maybe("extensions")
     attributes = field.get("attributes")
-    position = attributes.get("POSITION")
     if more is not None and attributes.maybe(f"{EXTENSION}:SCALE") is None:
         if not isinstance(more.value, dict):
             more.wrong("an object")
@@ -459,9 +466,7 @@ def _columns(file: _File, field: Field) -> tuple[dict[str, Accessor], tuple[Acce
             f"{field.place}: its splats are packed by {names}, which is not read; "
             "write them without compression",
         )
-    columns = {"POSITION": file.accessor(position, "VEC3")}
-    for name, kind in PLAIN.items():
-        columns[name] = file.accessor(attributes.get(name), kind)
+    columns = {name: file.accessor(attributes.get(name), kind) for name, kind in PLAIN.items()}
     harmonics = [file.accessor(index, "VEC3") for index in _harmonics(attributes)]
     counts = {len(a.table) for a in (*columns.values(), *harmonics)}
     if len(counts) > 1:
@@ -512,7 +517,7 @@ def _primitives(file: _File) -> tuple[list[Primitive], set[str]]:
     found: list[Primitive] = []
     spaces: set[str] = set()
     meshes: dict[int, Mesh] = {}
-    passed = total = 0
+    passed = total = most = 0
     for node, matrix in _nodes(file):
         number = node.maybe("mesh")
         if number is None:
@@ -531,6 +536,8 @@ def _primitives(file: _File) -> tuple[list[Primitive], set[str]]:
             found.append(Primitive(columns, harmonics, turn))
             total += len(found[-1])
             check_count(file.path, total, file.bytes, f"{field.place} and those before it")
+            most = max(most, len(harmonics))
+            check_memory(file.path, total, most, 0, file.bytes)
     if not found:
         what = f"{passed} meshes" if passed else "nothing"
         refuse(

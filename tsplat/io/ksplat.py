@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from tsplat.core.types import F32, F64, I32, I64, Floats, Scene
 from tsplat.hookspecs import hookimpl
 from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
-from tsplat.io.clean import SceneBuilder
-from tsplat.io.sweeps import Bytes, scene_of, typical
+from tsplat.io.clean import SceneBuilder, median
+from tsplat.io.sweeps import Bytes, scene_of
 from tsplat.io.table import COLORS, DC, LEVELS, MEAN, OPACITY, QUAT, REST, SCALE, Tables
+from tsplat.io.unpack import look_up
 
 HEADER = np.dtype(
     {
@@ -159,7 +160,7 @@ def _beyond_float32(sections: list[Section]) -> bool:
     """Whether float32 may be coarser than half a step at a typical bucket."""
     with np.errstate(over="ignore"):  # the mean of two centres at float32's end
         return any(
-            typical(np.abs(section.centers).max(1)) * 2.0**-24 > section.step / 2
+            median(np.abs(section.centers).max(1)) * 2.0**-24 > section.step / 2
             for section in sections
             if len(section.centers)
         )
@@ -191,8 +192,8 @@ class Layout:
         with np.errstate(over="ignore", invalid="ignore"):
             table[:, MEAN] = rows["means"]
             table[:, SCALE], table[:, QUAT] = rows["scales"], rows["quats"]
-            table[:, OPACITY] = LEVELS[rgba[:, 3]]
-            table[:, DC] = COLORS[rgba[:, :3]]
+            look_up(rgba[:, 3:], LEVELS, table[:, OPACITY])
+            look_up(rgba[:, :3], COLORS, table[:, DC])
             if rest.dtype == np.uint8:
                 np.multiply(rest, self._step, out=table[:, REST])
                 table[:, REST] += self._low

@@ -22,7 +22,7 @@ from tsplat.io.base import Read, Reader, ReadOptions, check_memory, refuse, refu
 from tsplat.io.clean import sigmoid
 from tsplat.io.fields import JSON_MAX, Field, parse
 from tsplat.io.gather import UNPACKING, check_count, gather, stretch
-from tsplat.io.table import DC, MEAN, OPACITY, QUAT, REST, SCALE
+from tsplat.io.table import DC, LEVELS, MEAN, OPACITY, QUAT, REST, SCALE
 from tsplat.io.unpack import PLACES, look_up, smallest_three
 
 META = "meta.json"
@@ -49,7 +49,6 @@ TAGGED[TAG:] = PLACES
 
 _BYTES = np.arange(256, dtype=np.float64)
 SMALLEST = (_BYTES / 255 * 2 - 1) / np.sqrt(2)
-ALPHAS = (_BYTES / 255).astype(np.float32)
 
 Fetch = Callable[[Field], bytes]
 """The content of the image that a field names."""
@@ -100,7 +99,7 @@ class Splats:
         table[:, MEAN] = self.means(rows)
         smallest_three(quats.view("<u4")[:, 0], (0, 8, 16), SMALLEST, 24, TAGGED, table[:, QUAT])
         look_up(self._pixels["scales"][rows, :3], self._scales, table[:, SCALE])
-        look_up(colored[:, 3:], self._opacities, table[:, OPACITY : OPACITY + 1])
+        look_up(colored[:, 3:], self._opacities, table[:, OPACITY])
         look_up(colored[:, :3], self._colors, table[:, DC])
         if self._palette is not None:
             labels = self._pixels["shN_labels"][rows]
@@ -167,10 +166,11 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
         logs = [_linear(*span) for span in _spans(scales, 3)]
         *colors, logits = [_linear(*span) for span in _spans(sh0, 4)]
         with np.errstate(over="ignore"):  # beyond 0..1: the builder drops it
-            opacities = (logits if options.raw_opacity else sigmoid(logits)).astype(np.float32)
+            levels = logits if options.raw_opacity else sigmoid(logits)
+            opacities = levels[None].astype(np.float32)
     else:
         logs, colors = [_codebook(scales)] * 3, [_codebook(sh0)] * 3
-        opacities = ALPHAS
+        opacities = LEVELS
     positions = [_positions(*span, count) for span in _spans(means, 3)]
     palette = None
     if harmonics is not None:
@@ -193,7 +193,7 @@ def _decode(path: Path, meta: Field, fetch: Fetch, measure: Measure, options: Re
     with np.errstate(over="ignore", under="ignore"):
         sizes = np.exp(np.stack(logs)).astype(np.float32)
         hues = np.stack(colors).astype(np.float32)
-    source = Splats(count, positions, sizes, hues, opacities[None], palette, pixels)
+    source = Splats(count, positions, sizes, hues, opacities, palette, pixels)
     antialias = _antialias(meta)
     degree = 0 if palette is None else DEGREES[PER_ROW * (coefficients - 1)]
     about = f"sog {1 if old else 2}, SH {degree}{', antialiased' if antialias else ''}"

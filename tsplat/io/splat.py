@@ -23,6 +23,7 @@ from tsplat.io.base import Read, Reader, ReadOptions, refuse, refuse_raw_opacity
 from tsplat.io.clean import SceneBuilder
 from tsplat.io.sweeps import Bytes, scene_of
 from tsplat.io.table import COLORS, DC, LEVELS, MEAN, OPACITY, QUAT, SCALE, Tables
+from tsplat.io.unpack import look_up
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
 
@@ -82,8 +83,8 @@ class Layout:
         table = self._tables.room(len(rows))
         table[:, MEAN], table[:, SCALE] = rows["means"], rows["scales"]
         np.subtract(rows["quats"], np.float32(128), out=table[:, QUAT])
-        table[:, OPACITY] = LEVELS[rgba[:, 3]]
-        table[:, DC] = COLORS[rgba[:, :3]]
+        look_up(rgba[:, 3:], LEVELS, table[:, OPACITY])
+        look_up(rgba[:, :3], COLORS, table[:, DC])
         self._tables.put(builder, to, table)
 
 

@@ -35,7 +35,7 @@ from tsplat.io.base import (
     refuse_raw_opacity,
 )
 from tsplat.io.gather import UNPACKING, check_count, gather, stretch
-from tsplat.io.table import DC, MEAN, OPACITY, QUAT, REST, SCALE, turned
+from tsplat.io.table import DC, LEVELS, MEAN, OPACITY, QUAT, REST, SCALE, turned
 from tsplat.io.turn import Turn, axes
 from tsplat.io.unpack import PLACES, fixed_24, look_up, smallest_three
 
@@ -53,6 +53,11 @@ HEADER_4 = 32
 ENTRY = struct.Struct("<QQ")
 WINDOW_LOG_MAX = 23
 """8 MB: what zstd's level 19 uses, and all up to it."""
+
+NO_ZSTD = (
+    "SPZ version 4 is packed with zstd, which Python has from 3.14 on; for this one: "
+    "pip install backports.zstd"
+)
 
 PIECE = 1 << 20
 """Bytes unpacked at a time."""
@@ -75,7 +80,6 @@ FRACTION_MAX = 30
 _BYTES = np.arange(256, dtype=np.float64)[None]
 with np.errstate(under="ignore"):
     SCALES = np.exp(_BYTES / 16 - 10).astype(np.float32)
-ALPHAS = (_BYTES / 255).astype(np.float32)
 COLORS = ((_BYTES / 255 - 0.5) / 0.15).astype(np.float32)
 SH = ((_BYTES - 128) / 128).astype(np.float32)
 THIRDS = _BYTES[0] / 127.5 - 1
@@ -139,7 +143,7 @@ class Splats:
         self._fill_means(self._positions[rows], table[:, MEAN])
         self._fill_quats(self._rotations[rows], table[:, QUAT])
         look_up(self._scales[rows], SCALES, table[:, SCALE])
-        look_up(self._alphas[rows], ALPHAS, table[:, OPACITY : OPACITY + 1])
+        look_up(self._alphas[rows], LEVELS, table[:, OPACITY])
         look_up(self._colors[rows], COLORS, table[:, DC])
         look_up(self._sh[rows], SH, table[:, REST])
         turned(table, self._turn)
@@ -263,8 +267,8 @@ class _Unpacked:
             )
 
 
-def _zstd() -> tuple[Any, type[Exception]]:
-    """A maker of zstd decompressors and what they raise: of Python from 3.14 on, else backported.
+def zstd_module() -> Any:
+    """Python's from 3.14 on, else what was backported.
 
     Raises:
         ImportError: there is neither.
@@ -273,7 +277,16 @@ def _zstd() -> tuple[Any, type[Exception]]:
         from compression import zstd
     else:
         from backports import zstd
+    return zstd
 
+
+def _zstd() -> tuple[Any, type[Exception]]:
+    """A maker of zstd decompressors and what they raise.
+
+    Raises:
+        ImportError: there is no zstd.
+    """
+    zstd = zstd_module()
     # A stream may ask for a window of 128 MB, which is allocated before it is looked at
     options = {int(zstd.DecompressionParameter.window_log_max): WINDOW_LOG_MAX}
     return partial(zstd.ZstdDecompressor, options=options), zstd.ZstdError
@@ -350,11 +363,7 @@ def _planes_zstd(path: Path, content: bytes, options: ReadOptions) -> tuple[Head
     try:
         maker, fault = _zstd()
     except ImportError:
-        refuse(
-            path,
-            "SPZ version 4 is packed with zstd, which Python has from 3.14 on; for this one: "
-            "pip install backports.zstd",
-        )
+        refuse(path, NO_ZSTD)
     entries = [ENTRY.unpack_from(content, table + i * ENTRY.size) for i in range(streams)]
     total = start + sum(packed for packed, _ in entries)
     if total != len(content):

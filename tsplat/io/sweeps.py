@@ -97,15 +97,6 @@ class Bytes:
             left, at = left[got:], at + got
 
 
-def typical(values: NDArray[np.floating]) -> float:
-    """The median of those that are finite, the larger of two; 0 of none."""
-    finite = values[np.isfinite(values)]
-    if not len(finite):
-        return 0.0
-    middle = len(finite) // 2  # np.median would import numpy.ma
-    return float(np.partition(finite, middle)[middle])
-
-
 class Sweeps:
     """Goes through all rows, or an even sample of ``options.max_splats``, as often as needed."""
 
@@ -145,6 +136,8 @@ class Sweeps:
                         break
                     stop = min(start + CHUNK, end)
                     part = slice(self._place(start), self._place(stop))
+                    if part.start == part.stop:
+                        continue
                     chunk = rows.read(start, stop, room)
                     if self._picked is not None:
                         chunk = chunk[self._picked[part] - start]

@@ -18,13 +18,13 @@ from tsplat.io.clean import SceneBuilder
 from tsplat.io.turn import Turn
 
 MEAN, QUAT, SCALE = slice(0, 3), slice(3, 7), slice(7, 10)
-OPACITY = 10
+OPACITY = slice(10, 11)
 DC, REST = slice(11, 14), slice(14, None)
 """Columns of a table. Scales are linear, opacities 0..1; ``REST`` is in the format's own order."""
 
-LEVELS = (np.arange(256) / 255).astype(np.float32)
-COLORS = ((np.arange(256) / 255 - 0.5) / SH_C0).astype(np.float32)
-"""A byte as an opacity, and as the coefficient ``f_dc`` of a colour."""
+LEVELS = (np.arange(256)[None] / 255).astype(np.float32)
+COLORS = ((np.arange(256)[None] / 255 - 0.5) / SH_C0).astype(np.float32)
+"""[1, 256] a byte as an opacity, and as the coefficient ``f_dc`` of a colour."""
 
 
 class Tables:
@@ -59,7 +59,7 @@ class Tables:
         sh = table[:, self._sh].reshape(len(table), -1, 3)
         builder.add(
             table[:, MEAN] if means is None else means, table[:, QUAT], table[:, SCALE],
-            table[:, OPACITY], sh, to,
+            table[:, OPACITY.start], sh, to,
         )  # fmt: skip
 
 
@@ -72,7 +72,7 @@ def turned(table: F32, turn: Turn) -> Floats | None:
     """Turns what is in ``table``, one of :func:`in_order`.
 
     Returns:
-        [n, 3] the means, where they are in float64 because they are moved as well.
+        [n, 3] the means in float64, unless only signs have changed.
     """
     if turn.signs is not None:
         if (turn.signs < 0).any():
@@ -80,8 +80,10 @@ def turned(table: F32, turn: Turn) -> Floats | None:
         return None
     means = turn.means(table[:, MEAN])
     table[:, MEAN] = means
-    table[:, QUAT] = turn.quats(table[:, QUAT])
+    quats = turn.quats(table[:, QUAT].astype(np.float64))
+    largest = np.abs(quats).max(1, keepdims=True)  # of any length: float32 might not hold it
+    table[:, QUAT] = quats / np.where(largest > 0, largest, 1)
     table[:, SCALE] = turn.scales(table[:, SCALE])
     sh = table[:, DC.start :]
     sh[:] = turn.sh(sh.reshape(len(sh), -1, 3).copy()).reshape(sh.shape)
-    return means if means.dtype == np.float64 else None
+    return means

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,18 @@ def _like(values: F64, other: NDArray[Any]) -> Any:
     return values.astype(other.dtype)
 
 
+@lru_cache(maxsize=64)
+def _harmonics(turn: tuple[float, ...]) -> F64:
+    """[16, 16] what the 3 x 3 numbers of an orthogonal matrix do to coefficients."""
+    from tsplat.core.reference import sh_basis
+
+    seen, matrix = _unit_directions(), np.reshape(turn, (3, 3))
+    basis = sh_basis(seen, SH_DEGREE_MAX)
+    turned = np.linalg.lstsq(basis, sh_basis(seen @ matrix, SH_DEGREE_MAX), rcond=None)[0]
+    nearest = np.round(turned)
+    return np.where(np.abs(turned - nearest) < EXACT, nearest, turned)
+
+
 class Turn:
     """p -> scale * matrix @ p + shift."""
 
@@ -83,7 +95,7 @@ class Turn:
             turned: Floats = means * _like(self._flips, means)
         else:
             turned = means.astype(np.float64) @ self.matrix.T
-        return np.asarray(turned * self.scale + self.shift) if self._moves else turned
+        return turned.astype(np.float64) * self.scale + self.shift if self._moves else turned
 
     def quats(self, quats: Floats) -> Floats:
         """[n, 4] w, x, y, z of any length."""
@@ -119,13 +131,7 @@ class Turn:
     @cached_property
     def _harmonics(self) -> F64:
         """[16, 16] turned coefficients from coefficients."""
-        from tsplat.core.reference import sh_basis
-
-        seen = _unit_directions()
-        basis = sh_basis(seen, SH_DEGREE_MAX)
-        matrix = np.linalg.lstsq(basis, sh_basis(seen @ self.matrix, SH_DEGREE_MAX), rcond=None)[0]
-        nearest = np.round(matrix)
-        return np.where(np.abs(matrix - nearest) < EXACT, nearest, matrix)
+        return _harmonics(tuple(self.matrix.reshape(-1).tolist()))
 
     def sh(self, sh: NDArray[Any]) -> NDArray[Any]:
         """[n, K, 3], C-contiguous; float16 only if signs are all it flips. May change ``sh``."""

@@ -31,7 +31,7 @@ PLACES = np.array(
 )
 """[4, 4] where the three others and the largest of four components stand, by which it is."""
 
-KINDS = {"uint8_t": "u1", "int8_t": "i1", "int64_t": "i8", "float": "f4", "double": "f8"}
+KINDS = {"int8_t": "i1", "int64_t": "i8", "float": "f4", "double": "f8"}
 """What C calls the numbers of arrays."""
 
 
@@ -67,6 +67,8 @@ def _columns(rows: NDArray[Any], out: NDArray[Any]) -> Any:
     """``tsplat_columns`` from ``rows`` to ``out``; the caller keeps both."""
     for array in (rows, out):  # of an array that is empty, strides say nothing
         assert array.ndim == 1 or array.strides[1] == array.itemsize or array.size <= len(array)
+    assert rows.dtype in ("u1", "<u4")
+    assert out.dtype in ("f4", "f8")
     return ffi.new(
         "tsplat_columns *",
         {

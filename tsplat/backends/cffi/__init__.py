@@ -26,7 +26,7 @@ def unavailable() -> str | None:
     """Why the kernel cannot be used, and what to do about it; None if it can."""
     if find_spec("tsplat.backends.cffi._kernel") is not None:
         return None
-    report = Path(__file__).with_name("build_error.txt")
+    report = Path(__file__).with_name("_kernel.build_error.txt")
     cause = " ".join(report.read_text().split()) if report.is_file() else "no attempt was made"
     return f"no C kernel: {REMEDY}. It was not built: {cause}"
 

@@ -12,7 +12,6 @@ Axes become right, up, back (RUB): y and z change sign, quaternions and harmonic
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO
 
@@ -21,7 +20,17 @@ from numpy.typing import NDArray
 
 from tsplat.core.errors import OutputError, ParamsError
 from tsplat.core.types import F32, U8, UPWARDS
-from tsplat.io.spz import ANTIALIASED, DEFAULT, ENTRY, HEADER, HEADER_4, MAGIC, PLANES
+from tsplat.io.spz import (
+    ANTIALIASED,
+    DEFAULT,
+    ENTRY,
+    HEADER,
+    HEADER_4,
+    MAGIC,
+    NO_ZSTD,
+    PLANES,
+    zstd_module,
+)
 from tsplat.io.turn import Turn, axes
 from tsplat.io.write.base import (
     Clipped,
@@ -174,6 +183,11 @@ def write(source: Source, out: BinaryIO, options: WriteOptions) -> Written:
     version = VERSION if options.version is None else options.version
     if version not in VERSIONS:
         raise ParamsError(f"version: SPZ is written in versions 2, 3 and 4, got {version}")
+    if version > 3:
+        try:
+            zstd_module()
+        except ImportError as error:
+            raise OutputError(f"{NO_ZSTD}; or write version 3") from error
     fraction, notes = fraction_bits(source, options.fractional_bits)
     planes = Planes(source, version, fraction, options.sh_bits or SH_BITS)
     names = [name for name in PLANES if name != "sh" or source.degree]
@@ -220,12 +234,8 @@ class _Zstd:
     """A zstd stream in ``out``."""
 
     def __init__(self, out: BinaryIO) -> None:
-        if sys.version_info >= (3, 14):
-            from compression import zstd
-        else:
-            from backports import zstd
         self._out = out
-        self._stream = zstd.ZstdCompressor(level=LEVEL_4)
+        self._stream = zstd_module().ZstdCompressor(level=LEVEL_4)
 
     def write(self, data: bytes) -> None:
         self._out.write(self._stream.compress(data))
