@@ -251,7 +251,11 @@ def test_info_names_the_format(smooth, ply, here):
     """Format, version and what matters of it; of a PLY, its reader's name."""
     facts = json.loads(here("info", smooth, "--json")[0])
     assert (facts["format"], facts["antialias"]) == ("spz 3, SH 1, antialiased", True)
-    assert "spz 3, SH 1, antialiased" in here("info", smooth)[0]
+    assert not any(item["what"] == "antialias factor" for item in facts["left_out"])
+    text = here("info", smooth)[0]
+    assert "spz 3, SH 1, antialiased" in text
+    assert "on, as the file says; view, cat, render: --no-antialias" in text
+    assert "off, the file does not say" in here("info", ply)[0]
     facts = json.loads(here("info", ply, "--json")[0])
     assert (facts["format"], facts["antialias"]) == ("ply", None)
 
@@ -455,7 +459,7 @@ def test_errors_are_one_line_and_exit_1(words, text, ply, camera_file, tmp_path)
         (("render", "-o", "x.png", "--eye", "1,2"), "three finite numbers"),
         (("render", "-o", "x.png", "--eye", "1e200,0,0"), "three finite numbers"),
         (("render", "-o", "x.png", "--background", "255,0,0"), "0 to 1"),
-        (("render", "-o", "x.png", "--threads", "0"), "from 1 on"),
+        (("render", "-o", "x.png", "--threads", "0"), "from 1 to 10^12"),
         (("render",), "-o"),
         (("view", "--sh-degree", "4"), "invalid choice"),
     ],

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.conftest import gaussians, hear_signals
-from tests.io.plywriter import BIG, LITTLE, TEXT, raw_columns
+from tests.io.plywriter import BIG, LITTLE, TEXT, raw_columns, write_ply
 from tests.io.realdata import needs_data
 from tests.io.writing import by_plyfile, check, drawn
 from tsplat import load_scene, render, save_scene
@@ -26,6 +26,7 @@ from tsplat.core.camera import look_at
 from tsplat.core.errors import OutputError
 from tsplat.io.write.source import Source
 from tsplat.quality.converted import angles, field_errors, picture_errors, standard_views
+from tsplat.views import up_of
 
 SMALL = ["--size", "64x36"]
 
@@ -251,11 +252,15 @@ def test_the_file_that_is_read_may_be_replaced(tmp_path, capsys):
         (["a.ply", "b.spz", "--fractional-bits", "24"], 2, "a whole number from 0 to 23"),
         (["a.ply", "b.spz", "--sh-degree", "4"], 2, "invalid choice"),
         (["a.ply", "b.spz", "--format-version", "1"], 1, "versions 2, 3 and 4, got 1"),
-        (["a.ply", "b.ply", "--sh-bits", "5,4"], 1, "sh_bits is not for ply"),
+        (["a.ply", "b.ply", "--sh-bits", "5,4"], 1, "sh_bits (--sh-bits) is not for ply"),
         (["a.ply", "b.gltf"], 1, "known: .compressed.ply, .ply, .splat, .spz"),
         (["a.ply", "b.ply", "--to", "gltf"], 1, "no writer named 'gltf'"),
         (["a.ply", "b.splat", "--sh-degree", "2"], 1, "harmonics up to degree 0, got 2"),
-        (["a.ply", "b.ply", "--crop", "1e5,0,0,2e5,1,1"], 1, "no Gaussians are left"),
+        (
+            ["a.ply", "b.ply", "--crop", "1e5,0,0,2e5,1,1"],
+            1,
+            "nothing is left of 5 Gaussians (crop)",
+        ),
         (["none.ply", "b.ply"], 1, "no such file"),
         (["a.ply", "no/b.ply"], 1, "no directory"),
     ],
@@ -303,9 +308,9 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.ply", "b.ply"]
 
 
-@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_in_the_middle_leaves_nothing(tmp_path, signum):
-    """Ctrl-C and SIGTERM while bytes are written: no half file, nothing beside it."""
+    """Ctrl-C, SIGTERM and a lost line while bytes are written: no half file, nothing beside it."""
     inria(tmp_path / "a.ply", 150_000, 3)
     child = _child(tmp_path, "a.ply", "b.spz")
     while child.poll() is None and len(list(tmp_path.iterdir())) < 2:
@@ -314,6 +319,20 @@ def test_a_signal_in_the_middle_leaves_nothing(tmp_path, signum):
     child.communicate()
     assert child.returncode == (130 if signum == signal.SIGINT else 128 + signum)
     assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_interrupted_while_it_measures_it_says_what_is_there(tmp_path, monkeypatch, capsys):
+    """The file is written and whole; only how far it is off is not known."""
+    inria(tmp_path / "a.ply", 20)
+
+    def interrupted(*words, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tsplat.quality.converted.field_errors", interrupted)
+    words = [str(tmp_path / name) for name in ("a.ply", "b.splat")]
+    assert main(["convert", *words]) == 130
+    assert "b.splat: written, but not measured: interrupted" in capsys.readouterr().err
+    assert len(load_scene(tmp_path / "b.splat")) == 20
 
 
 def test_plugins_are_writers_too(tmp_path, monkeypatch, capsys):
@@ -399,6 +418,30 @@ def test_splat_transform_reads_what_is_written(tmp_path, fmt):
     made = tmp_path / "made.ply"
     subprocess.run([TOOL, "-q", tmp_path / f"a.{fmt}", made], check=True, capture_output=True)
     check(fmt, scene, by_plyfile(made), written)
+
+
+@pytest.mark.parametrize("axis", ["z", "-x", "0.5 -0.7 0.3", "0 -1 0", None])
+@pytest.mark.parametrize("name", ["b.ply", "b.compressed.ply", "b.spz"])
+def test_a_scene_that_says_its_up_is_turned_over(tmp_path, capsys, name, axis):
+    """What was above is below, along what is said to be up; that is said as before, where it can be.
+
+    Seen from outside by what is up, the written scene is what ``--flip-y`` shows of the first.
+    """
+    comments = [] if axis is None else [f"Vertical axis: {axis}"]
+    columns = raw_columns(50, 3)
+    write_ply(tmp_path / "a.ply", columns, comments=comments)
+    facts(capsys, tmp_path / "a.ply", tmp_path / name, "--flip-y", "--no-measure")
+    before, after = load_scene(tmp_path / "a.ply"), load_scene(tmp_path / name)
+    up = np.array(up_of(before).direction)
+    up /= np.linalg.norm(up)
+    if name != "b.spz":
+        np.testing.assert_allclose(np.array(up_of(after).direction) / np.linalg.norm(
+            up_of(after).direction), up, atol=1e-6)  # fmt: skip
+        assert b" -0" not in (tmp_path / name).read_bytes().partition(b"end_header")[0].replace(
+            b" -0.", b"")  # fmt: skip
+    heights = [np.sort((scene.means + scene.origin) @ up) for scene in (before, after)]
+    spread = np.ptp(before.means, axis=0).max()
+    np.testing.assert_allclose(heights[1], -heights[0][::-1], atol=spread / 500)
 
 
 def test_a_scene_on_its_head_is_turned(tmp_path, capsys):

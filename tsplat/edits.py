@@ -105,6 +105,13 @@ def _made(scene: Scene, edits: Edits, drawn: Bools) -> Scene:
     return made if edits.saturation == 1 else _saturated(made, edits.saturation)
 
 
+def nothing_left(scene: Scene, edits: Edits) -> SceneError:
+    """What to raise where ``edits`` leave no Gaussian of ``scene``."""
+    return SceneError(
+        f"{scene.name}: nothing is left of {len(scene)} Gaussians ({edits.text()}); filter less"
+    )
+
+
 def filtered(scene: Scene, edits: Edits) -> Scene:
     """The picture of :func:`edited`, of a scene that has no rows that are not drawn.
 
@@ -117,9 +124,7 @@ def filtered(scene: Scene, edits: Edits) -> Scene:
     if left.all():
         return scene if edits == NOTHING else _made(scene, edits, left)
     if not left.any():
-        raise SceneError(
-            f"{scene.name}: nothing is left of {len(scene)} Gaussians ({edits.text()}); filter less"
-        )
+        raise nothing_left(scene, edits)
     made = _made(scene, edits, left).take(left)
     return replace(made, dropped={**scene.dropped, **dropped})
 

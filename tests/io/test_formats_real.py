@@ -28,7 +28,7 @@ from tsplat.io.turn import Turn, axes, half_turned
 # every file of these formats there that is refused, and why; what is not here must load
 REFUSED = {
     r"bad-crc": "its gzip stream cannot be unpacked near byte 53: .*incorrect data check",
-    r"bad-fhcrc|corrupt-deflate|gzip-not|truncated-gzip-h": "not a scene but a gzip-compressed fil",
+    r"bad-fhcrc|corrupt-deflate|gzip-not|truncated-gzip-h": "damaged: named .spz, but it begins n",
     r"count-exceeds-stream": "promises 1000000 Gaussians, a file of 55 bytes holds at most 262254",
     r"degree-?4": r"SPZ of SH degree 4 \(byte 12\), expected 0 to 3",
     r"empty-points": r"holds no Gaussians \(SPZ header's number of points \(byte 8\) is 0\)",

@@ -24,6 +24,9 @@ from tsplat.io.base import Reader
     ("name", "content", "expected"),
     [
         ("a.bin", gzip.compress(b"something", mtime=0), "gzip-compressed file; unpack it"),
+        ("a.spz", gzip.compress(b"something", mtime=0), "damaged: named .spz, but it begins"),
+        ("a.sog", b"PK\x03\x04 cut", "damaged: named .sog, but it is no zip archive with a meta"),
+        ("a.glb", b"no", "unknown format: named .glb, but it does not begin with 'glTF'"),
         ("lod-meta.json", b'{"lodLevels": 7}', "name the folder of one of them"),
         ("a.zip", b"PK\x03\x04" + bytes(30), "zip archive"),
         ("a.splat", bytes(64), "unknown format: named .splat, but its first rows of 32 bytes"),

@@ -43,7 +43,7 @@ ROW = struct.pack("<14f", *([0.5] * 14))
 
 CASES = {
     "empty": (b"", "the file is empty"),
-    "not ply": (b"PLY\nformat", "unknown format; formats read: .*ply"),
+    "not ply": (b"PLY\nformat", "named .ply, but it does not begin with 'ply'; formats"),
     "nearly ply": (b"plywood\n", "unknown format"),
     "only ply": (b"ply\n", "without an end_header line anywhere; the file is damaged"),
     "no end": (HEAD + b"comment x\n" * 99, "without an end_header line anywhere"),

@@ -36,7 +36,12 @@ def test_antialiasing_in_comments(comments, said):
     ("comment", "direction"),
     [
         ("Vertical Axis: z", (0, 0, 1)),
+        ("Vertical axis: -z", (0, 0, -1)),
+        ("Vertical axis: x", (1, 0, 0)),
+        ("Vertical axis: -Y", (0, -1, 0)),
         ("Vertical axis: y", None),
+        ("Vertical axis: +y", None),
+        ("Vertical axis: up", None),
         ("Vertical axis: 0 -0.6 0.8", (0, -0.6, 0.8)),
         ("vertical axis: [1e-1, 2, -.5]", (0.1, 2, -0.5)),
         ("Vertical axis: 0 0 0", None),
@@ -46,7 +51,7 @@ def test_antialiasing_in_comments(comments, said):
     ],
 )
 def test_up_in_comments(comment, direction):
-    """z and directions are believed; y, which every file of Brush's has, says nothing."""
+    """Axes and directions are believed; y, which every file of Brush's has, says nothing."""
     said = says_up([comment])
     assert (said and said.direction) == direction
 

@@ -344,16 +344,26 @@ def test_what_cannot_be_asked_for_is_refused(tmp_path):
     for name, options, error, text in (
         ("a.obj", {}, OutputError, "known: .compressed.ply, .ply, .splat, .spz"),
         ("a.ply", {"to": "usd"}, PluginError, "no writer named 'usd'; installed: compressed-ply"),
-        ("a.ply", {"options": WriteOptions(version=2)}, ParamsError, "version is not for ply"),
+        (
+            "a.ply",
+            {"options": WriteOptions(version=2)},
+            ParamsError,
+            r"version \(--format-version\) is not for ply, which",
+        ),
         ("a.splat", {"sh_degree": 1}, ParamsError, "splat holds harmonics up to degree 0, got 1"),
         ("a.spz", {"options": WriteOptions(version=7)}, ParamsError, "versions 2, 3 and 4, got 7"),
         ("no/a.ply", {}, OutputError, "no directory"),
+        (".", {}, OutputError, "is a directory; name a file in it"),
     ):
         with pytest.raises(error, match=text):
             save_scene(scene, tmp_path / name, **options)
+    with pytest.raises(OutputError, match="not written to standard output; name a file"):
+        save_scene(scene, "-", to="ply")
     with pytest.raises(OutputError, match="no Gaussians are left"):
         save_scene(scene.take(np.zeros(0, int)), tmp_path / "a.ply")
-    with pytest.raises(ParamsError, match="fractional_bits: expected 0 to 23"):
+    with pytest.raises(
+        ParamsError, match=r"fractional_bits \(--fractional-bits\): expected 0 to 23"
+    ):
         WriteOptions(fractional_bits=24)
     with pytest.raises(ParamsError, match="sh_bits"):
         WriteOptions(sh_bits=(5, 9))

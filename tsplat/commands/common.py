@@ -21,6 +21,8 @@ from tsplat.core.errors import CameraError, ParamsError
 from tsplat.core.params import PRESETS, RenderParams, parse_settings, settings_text
 from tsplat.core.types import Scene, Up
 
+DEADLY = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
 if TYPE_CHECKING:
     from tsplat.edits import Edits
     from tsplat.plan import Plan
@@ -228,16 +230,21 @@ def dropped_text(scene: Scene) -> str:
 
 @contextmanager
 def unwinding() -> Iterator[None]:
-    """SIGTERM goes up like Ctrl-C, so that nothing half-written is left."""
+    """SIGTERM and SIGHUP go up like Ctrl-C, so that nothing half-written is left.
+
+    What is ignored, as under nohup, still is.
+    """
 
     def leave(signum: int, frame: FrameType | None) -> None:
         raise SystemExit(128 + signum)
 
-    before = signal.signal(signal.SIGTERM, leave)
+    deadly = [s for s in DEADLY if signal.getsignal(s) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, leave) for number in deadly}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def terminal_environ(spec: str | None) -> dict[str, str]:

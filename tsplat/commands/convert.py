@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tsplat.commands.common import edits, load_unedited, print_json, unwinding
+from tsplat.commands.common import edits, load_unedited, print_json, say, unwinding
 from tsplat.core.errors import CameraError, SceneError, printable
-from tsplat.edits import NOTHING
+from tsplat.edits import NOTHING, nothing_left
 from tsplat.io.progress import progress_bar
 from tsplat.io.write import check_writing, find_writer, write_scene
 from tsplat.io.write.base import WriteOptions, Writer, Written
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from tsplat.core.types import Scene
     from tsplat.quality.converted import FieldError
     from tsplat.quality.measure import Error
+
+
+INTERRUPTED = 130
+"""The exit code of what Ctrl-C has ended."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,11 @@ def run(arguments: argparse.Namespace) -> int:
     check_writing(arguments.output, writer, options, arguments.sh_degree, force=arguments.force)
     with unwinding():
         done = _convert(arguments, writer, options)
-    measured = None if arguments.no_measure else _measured(arguments, done)
+    try:
+        measured = None if arguments.no_measure else _measured(arguments, done)
+    except KeyboardInterrupt:
+        say(f"{printable(arguments.output)}: written, but not measured: interrupted")
+        return INTERRUPTED
     if arguments.json:
         print_json(_facts(arguments, done, measured))
     else:
@@ -76,6 +84,8 @@ def _convert(arguments: argparse.Namespace, writer: Writer, options: WriteOption
     bytes_in = _bytes_in(path)
     degree = writer.degree if arguments.sh_degree is None else arguments.sh_degree
     source = Source(scene, degree=degree, edits=edits(arguments))
+    if not len(source):
+        raise nothing_left(scene, source.edits)
     with ExitStack() as stack:
         as_is = not (arguments.raw_opacity or arguments.flip_y)
         if writer.name == "ply" and _is_inria(scene) and as_is:

@@ -9,10 +9,16 @@ import numpy as np
 
 from tsplat.commands.common import load, print_json
 from tsplat.core.errors import printable
+from tsplat.core.params import RenderParams
 from tsplat.core.types import Scene
 from tsplat.plan import Plan, make_plan
 from tsplat.views import scene_extent, up_of
 
+ANTIALIAS = {
+    True: "on, as the file says; view, cat, render: --no-antialias",
+    False: "off, as the file says; view, cat, render: --antialias",
+    None: "off, the file does not say; view, cat, render: --antialias",
+}
 PERCENTILES = (0, 5, 50, 95, 100)
 ROWS_MOVED, ROWS_KEPT = "along a space-filling curve", "in the file's order"
 
@@ -20,7 +26,7 @@ ROWS_MOVED, ROWS_KEPT = "along a space-filling curve", "in the file's order"
 def run(arguments: argparse.Namespace) -> int:
     """Loads and describes."""
     scene = load(arguments)
-    facts = describe(scene, make_plan(scene))
+    facts = describe(scene, make_plan(scene, params=RenderParams(antialias=bool(scene.antialias))))
     if arguments.json:
         print_json(facts)
         return 0
@@ -99,7 +105,9 @@ def _lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
         *([("format", facts["format"])] if facts["format"] else []),
         ("Gaussians", f"{facts['gaussians']:,}"),
         *(("left out", f"{n:,}: {reason}") for reason, n in facts["dropped"].items()),
-        ("up", f"{_axis(facts['up']['direction'])}: {facts['up']['why']}; --up, --flip-y"),
+        ("up", f"{_axis(facts['up']['direction'])}: {facts['up']['why']}"),
+        ("", "view, cat, render: --up AXIS or --flip-y says otherwise"),
+        ("antialias", ANTIALIAS[facts["antialias"]]),
         ("SH degree", str(facts["sh_degree"])),
         ("SH in", _precision(facts)),
         ("rows", facts["rows"]),

@@ -56,7 +56,7 @@ def color(text: str) -> tuple[float, float, float] | None:
 def count(text: str) -> int:
     """A whole number from 1 on."""
     if not re.fullmatch(r"[0-9]{1,12}", text) or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number from 1 on, got {text!r}")
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1 to 10^12, got {text!r}")
     return int(text)
 
 
@@ -79,7 +79,7 @@ def number(text: str, fits: Callable[[float], bool], expected: str) -> float:
 
 def positive(text: str) -> float:
     """A finite number above 0."""
-    return number(text, lambda value: 0 < value < float("inf"), "a number above 0")
+    return number(text, lambda value: 0 < value < float("inf"), "a finite number above 0")
 
 
 def share(text: str) -> float:
@@ -100,7 +100,14 @@ def factor(text: str) -> float:
 def box(text: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Two corners, the lower one first."""
     corners = text.split(",")
-    low, high = vector(",".join(corners[:3])), vector(",".join(corners[3:]))
+    try:
+        if len(corners) != 6:
+            raise ValueError
+        low, high = vector(",".join(corners[:3])), vector(",".join(corners[3:]))
+    except (ValueError, argparse.ArgumentTypeError):
+        raise argparse.ArgumentTypeError(
+            f"expected six finite numbers, two corners such as -1,-1,-1,1,1,1, got {text!r}"
+        ) from None
     if any(a > b for a, b in zip(low, high, strict=True)):
         raise argparse.ArgumentTypeError(f"expected the lower corner first, got {text!r}")
     return low, high

@@ -99,7 +99,11 @@ def read_header(path: Path) -> Header:
     end = start.find(line_end + b"end_header" + line_end)
     if end < 0:
         where = "anywhere" if size <= HEADER_MAX else f"in its first {HEADER_MAX} bytes"
-        refuse(path, f"PLY header without an end_header line {where}; the file is damaged")
+        refuse(
+            path,
+            f"PLY header without an end_header line {where}; the file is damaged: "
+            "copy or download it again",
+        )
     lines = tuple(_plain(line) for line in start[: end + len(line_end)].split(line_end)[:-1])
     header = Header((*lines, b"end_header"), line_end, *_parsed(path, lines))
     _check_size(path, header, size)

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from tsplat.core.types import Up
 
 NUMBER = r"([-+]?[0-9]*\.?[0-9]+(?:e[-+]?[0-9]+)?)"
+AXIS = re.compile(r"vertical axis: (?!\+?y)([-+]?)([xyz])")
 DIRECTION = re.compile(rf"vertical axis:[\s\[(]*{NUMBER}[\s,]+{NUMBER}[\s,]+{NUMBER}[\s\])]*")
 
 
@@ -40,8 +41,9 @@ def says_up(comments: Iterable[str]) -> Up | None:
     said = None
     for comment in comments:
         text = " ".join(comment.lower().split())
-        if text == "vertical axis: z":
-            said = Up((0.0, 0.0, 1.0), "the file says: Vertical axis: z")
+        if found := AXIS.fullmatch(text):
+            x, y, z = (float(f"{found[1]}1") if name == found[2] else 0.0 for name in "xyz")
+            said = Up((x, y, z), f"the file says: Vertical axis: {found[1]}{found[2]}")
         elif found := DIRECTION.fullmatch(text):
             x, y, z = map(float, found.groups())
             if 0 < math.hypot(x, y, z) < 1e30:

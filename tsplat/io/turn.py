@@ -150,15 +150,22 @@ class Turn:
 
 
 def half_turned(scene: Scene) -> Scene:
-    """``scene`` turned by 180 degrees about x: what stood on its head stands up, and no mirror."""
-    turn = Turn(axes("RUB"))
+    """``scene`` turned over: what stood on its head stands up, and no mirror.
+
+    By 180 degrees about an axis across its up, x where that is across; so what is said to be up is.
+    """
     up = scene.up
+    direction = np.array((0.0, -1.0, 0.0) if up is None else up.direction)
+    direction /= np.linalg.norm(direction)
+    start = np.eye(3)[2 if abs(direction[0]) > 0.9 else 0]
+    axis = start - (start @ direction) * direction
+    axis /= np.linalg.norm(axis)
+    turn = Turn(np.round(2 * np.outer(axis, axis) - np.eye(3), 15))
+    sh = scene.sh.copy() if turn.signs is not None else scene.sh.astype(np.float32)
     if up is not None:
-        x, y, z = up.direction
-        up = Up((x, -y, -z), f"{up.why}; turned by 180 degrees about x")
+        up = Up(up.direction, f"{up.why}; turned over")
     return replace(
         scene, means=np.asarray(turn.means(scene.means), np.float32),
-        quats=np.ascontiguousarray(turn.quats(scene.quats)),
-        sh=np.ascontiguousarray(turn.sh(scene.sh.copy())),
-        origin=scene.origin * turn.matrix.diagonal(), up=up,
+        quats=np.asarray(turn.quats(scene.quats), np.float32, order="C"),
+        sh=np.ascontiguousarray(turn.sh(sh)), origin=turn.matrix @ scene.origin, up=up,
     )  # fmt: skip

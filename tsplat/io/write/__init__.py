@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tsplat.core.errors import OutputError, ParamsError, PluginError, TsplatError, printable
-from tsplat.io.images import beside, check_place
+from tsplat.io.images import STDOUT, beside, check_place
 
 if TYPE_CHECKING:
     from tsplat.io.write.base import WriteOptions, Writer, Written
@@ -30,6 +30,8 @@ def find_writer(writers: Mapping[str, Writer], path: str, name: str | None = Non
             known = ", ".join(sorted(writers))
             raise PluginError(f"no writer named {printable(name)!r}; installed: {known}")
         return writers[name]
+    if Path(path).is_dir():
+        raise OutputError(f"{printable(path)}: is a directory; name a file in it")
     low = Path(path).name.lower()
     fitting = [(s, w) for w in writers.values() for s in w.suffixes if low.endswith(s)]
     if not fitting:
@@ -50,13 +52,17 @@ def check_writing(
         OutputError: no such directory, no permission, or a file is there and not ``force``.
         ParamsError: an option that is not the writer's, or a degree that it does not hold.
     """
+    if path == STDOUT:
+        raise OutputError("a scene is not written to standard output; name a file")
     check_place(path)
     if os.path.lexists(path) and not force:
         raise OutputError(f"{printable(path)}: exists; choose another name, or --force")
+    from tsplat.io.write.base import option
+
     for name in options.named():
         if name not in writer.takes:
-            takes = ", ".join(writer.takes) or "none"
-            raise ParamsError(f"{name} is not for {writer.name}; what it takes of these: {takes}")
+            takes = ", ".join(map(option, writer.takes)) or "no such options"
+            raise ParamsError(f"{option(name)} is not for {writer.name}, which takes {takes}")
     if degree is not None and degree > writer.degree:
         raise ParamsError(
             f"sh_degree: {writer.name} holds harmonics up to degree {writer.degree}, got {degree}"

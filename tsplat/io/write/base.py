@@ -27,6 +27,12 @@ CEILING = 18.0
 """The logit of 1: a sigmoid of more than 17.4 is 1 in float32, whose step below 1 is 2^-24."""
 
 
+def option(name: str) -> str:
+    """``version (--format-version)``: a name of WriteOptions, and what the command calls it."""
+    words = "format-version" if name == "version" else name.replace("_", "-")
+    return f"{name} (--{words})"
+
+
 @dataclass(frozen=True)
 class WriteOptions:
     """How to write; None leaves it to the writer. A writer says in ``Writer.takes`` what it heeds.
@@ -42,9 +48,11 @@ class WriteOptions:
 
     def __post_init__(self) -> None:
         if self.fractional_bits is not None and not 0 <= self.fractional_bits <= 23:
-            raise ParamsError(f"fractional_bits: expected 0 to 23, got {self.fractional_bits}")
+            raise ParamsError(
+                f"{option('fractional_bits')}: expected 0 to 23, got {self.fractional_bits}"
+            )
         if self.sh_bits is not None and not all(1 <= bits <= 8 for bits in self.sh_bits):
-            raise ParamsError(f"sh_bits: expected 1 to 8 each, got {self.sh_bits}")
+            raise ParamsError(f"{option('sh_bits')}: expected 1 to 8 each, got {self.sh_bits}")
 
     def named(self) -> list[str]:
         """The options that are not left to the writer."""
@@ -149,7 +157,8 @@ def comments(source: Source) -> list[str]:
         said.append(f"comment antialiased {int(source.antialias)}")
     if source.scene.up is not None:
         said.append(
-            "comment Vertical axis: " + " ".join(f"{x:.9g}" for x in source.scene.up.direction)
+            "comment Vertical axis: "
+            + " ".join(f"{x + 0.0:.9g}" for x in source.scene.up.direction)
         )
     return said
 

@@ -19,6 +19,7 @@ from tsplat.core.types import F32, I64, Floats, Scene
 from tsplat.edits import NOTHING, Edits, cut, edited
 from tsplat.io import clean
 from tsplat.io.base import sample_rows, silent
+from tsplat.io.says import says_antialias, says_up
 from tsplat.io.write.base import ROWS, parts
 
 if TYPE_CHECKING:
@@ -175,7 +176,9 @@ def _passed_over(header: Header, vertex: Element) -> tuple[str, ...]:
     known = {*NEEDED, "nx", "ny", "nz"}
     other = [n for n in vertex.properties if n not in known and not n.startswith("f_rest_")]
     elements = [e.name for e in header.elements if e is not vertex]
+    kept = sum(says_up([c]) is not None or says_antialias([c]) is not None for c in header.comments)
     comments = sum(line.split()[:1] in ([b"comment"], [b"obj_info"]) for line in header.lines)
+    comments -= kept
     named = (("properties", other), ("elements", elements))
     found = [f"{what} {printable(', '.join(names[:8]))}" for what, names in named if names]
-    return (*found, *([f"{comments} comments"] if comments else []))
+    return (*found, *([f"{comments} comment{'s' if comments > 1 else ''}"] if comments else []))

@@ -37,6 +37,7 @@ from tsplat.io.write.base import (
     WriteOptions,
     Written,
     logs,
+    option,
     parts,
     smallest_three,
     unsaid,
@@ -182,7 +183,9 @@ def write(source: Source, out: BinaryIO, options: WriteOptions) -> Written:
     """See :class:`tsplat.io.write.base.Write`."""
     version = VERSION if options.version is None else options.version
     if version not in VERSIONS:
-        raise ParamsError(f"version: SPZ is written in versions 2, 3 and 4, got {version}")
+        raise ParamsError(
+            f"{option('version')}: SPZ is written in versions 2, 3 and 4, got {version}"
+        )
     if version > 3:
         try:
             zstd_module()
