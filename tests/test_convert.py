@@ -259,7 +259,7 @@ def test_the_file_that_is_read_may_be_replaced(tmp_path, capsys):
         (
             ["a.ply", "b.ply", "--crop", "1e5,0,0,2e5,1,1"],
             1,
-            "nothing is left of 5 Gaussians (crop)",
+            "nothing is left of 5 Gaussians",
         ),
         (["none.ply", "b.ply"], 1, "no such file"),
         (["a.ply", "no/b.ply"], 1, "no directory"),
@@ -423,10 +423,7 @@ def test_splat_transform_reads_what_is_written(tmp_path, fmt):
 @pytest.mark.parametrize("axis", ["z", "-x", "0.5 -0.7 0.3", "0 -1 0", None])
 @pytest.mark.parametrize("name", ["b.ply", "b.compressed.ply", "b.spz"])
 def test_a_scene_that_says_its_up_is_turned_over(tmp_path, capsys, name, axis):
-    """What was above is below, along what is said to be up; that is said as before, where it can be.
-
-    Seen from outside by what is up, the written scene is what ``--flip-y`` shows of the first.
-    """
+    """What was above is below; what is said to be up still is, where the format can say it."""
     comments = [] if axis is None else [f"Vertical axis: {axis}"]
     columns = raw_columns(50, 3)
     write_ply(tmp_path / "a.ply", columns, comments=comments)

@@ -348,7 +348,7 @@ def test_what_cannot_be_asked_for_is_refused(tmp_path):
             "a.ply",
             {"options": WriteOptions(version=2)},
             ParamsError,
-            r"version \(--format-version\) is not for ply, which",
+            "version .* is not for ply",
         ),
         ("a.splat", {"sh_degree": 1}, ParamsError, "splat holds harmonics up to degree 0, got 1"),
         ("a.spz", {"options": WriteOptions(version=7)}, ParamsError, "versions 2, 3 and 4, got 7"),
@@ -361,9 +361,7 @@ def test_what_cannot_be_asked_for_is_refused(tmp_path):
         save_scene(scene, "-", to="ply")
     with pytest.raises(OutputError, match="no Gaussians are left"):
         save_scene(scene.take(np.zeros(0, int)), tmp_path / "a.ply")
-    with pytest.raises(
-        ParamsError, match=r"fractional_bits \(--fractional-bits\): expected 0 to 23"
-    ):
+    with pytest.raises(ParamsError, match=r"\(--fractional-bits\): expected 0 to 23"):
         WriteOptions(fractional_bits=24)
     with pytest.raises(ParamsError, match="sh_bits"):
         WriteOptions(sh_bits=(5, 9))
