@@ -116,7 +116,7 @@ def test_a_camera_and_a_quality_may_be_asked_for(ply, camera_file, tmp_path):  #
         (("missing.ply",), 1, "missing.ply: no such file"),
         (("SCENE", "--presenter", "pixels"), 1, "no presenter named 'pixels'"),
         (("SCENE", "--fov", "190"), 1, "190"),
-        (("SCENE", "--rows", "0"), 2, "from 1 on"),
+        (("SCENE", "--rows", "0"), 2, "from 1 to 999"),
         (("SCENE", "--columns", "1000"), 2, "1 to 999"),
     ],
 )

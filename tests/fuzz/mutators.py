@@ -16,6 +16,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 
 from tests.io.mutate import NUMBERS
 from tests.io.spzwriter import compressed
@@ -134,7 +135,8 @@ def altered(rng: random.Random, value: object) -> object:
             elif kind == 4 and isinstance(at[key], str):
                 at[key] = rng.choice(NAMES)
             elif kind == 5 and isinstance(at[key], int | float):
-                at[key] = at[key] + rng.choice((-1, 1, 0.5, 4, 12))
+                with suppress(OverflowError):  # of an integer that no float holds
+                    at[key] = at[key] + rng.choice((-1, 1, 0.5, 4, 12))
             else:
                 at[key] = rng.choice((*NUMBERS, rng.choice(INTEGERS), rng.choice(NAMES)))
             break

@@ -60,12 +60,15 @@ def count(text: str) -> int:
     return int(text)
 
 
+def _upto(text: str, most: int) -> int:
+    if not re.fullmatch(r"[0-9]{1,12}", text) or not 1 <= int(text) <= most:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1 to {most}, got {text!r}")
+    return int(text)
+
+
 def cells(text: str) -> int:
     """A number of columns or rows of a terminal."""
-    value = count(text)
-    if value > 999:
-        raise argparse.ArgumentTypeError(f"expected 1 to 999, got {value}")
-    return value
+    return _upto(text, 999)
 
 
 def number(text: str, fits: Callable[[float], bool], expected: str) -> float:
@@ -139,7 +142,4 @@ def fraction(text: str) -> int:
 
 def threads(text: str) -> int:
     """How many threads."""
-    value = count(text)
-    if value > 256:
-        raise argparse.ArgumentTypeError(f"expected 1 to 256, got {value}")
-    return value
+    return _upto(text, 256)
