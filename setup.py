@@ -1,5 +1,6 @@
-"""Builds what is optional and in C: kernel, decoder, unpacker, encoder; see pyproject.toml, too.
+"""Builds what is in C and optional: kernel, decoder, unpacker, encoder.
 
+All else is in pyproject.toml.
 Without a working compiler the install still succeeds: the compiler's complaint is kept in
 ``NAME.build_error.txt`` beside what was not built; the backend quotes its own when asked why it is
 unavailable.

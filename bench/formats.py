@@ -4,14 +4,13 @@
     python bench/formats.py --million                              # a million Gaussians a format
 
 Every load is a process of its own with the file in the page cache, whose CPU time, too, is that of
-``load_scene`` alone; quoted are minima. The floor is what one thread takes to read the file and
-to write as many bytes as the scene has, decoding nothing. Peak memory is the largest resident set
+``load_scene`` alone; quoted are minima. The floor is what one thread takes to read the file and to
+write as many bytes as the scene has, decoding nothing. Peak memory is the largest resident set
 less what it was before the load. PSNR (dB) is of pictures of 640x360 from the default view of the
-first scene;
-``of what fits`` is that against its Gaussians with no more than a format of that degree can hold:
-base colours within 0..1 in .splat and ksplat, all coefficients within what SPZ has bytes for. Files
-whose writer left a PLY's axes as they were, where the format has others, are turned by 180 degrees
-about x first, and marked.
+first scene; ``of what fits`` is that against its Gaussians with no more than a format of that
+degree can hold: base colours within 0..1 in .splat and ksplat, all coefficients within what SPZ
+has bytes for. Files whose writer left a PLY's axes as they were, where the format has others, are
+turned by 180 degrees about x first, and marked.
 ``--million`` writes files as the tests do, positions and colours at random, compressed PLY along a
 curve as its own tools do, and takes no pictures. Random numbers are the worst that an unpacker can
 get: nothing in them repeats.

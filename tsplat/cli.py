@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TextIO
 
 from tsplat._version import __version__
-from tsplat.commands import texts, values
+from tsplat.commands import INTERRUPTED, texts, values
 from tsplat.core.errors import TsplatError, printable
 
 COMMANDS = ("view", "cat", "render", "convert", "info", "plugins", "check", "bench")
@@ -486,7 +486,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         print("tsplat: interrupted", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     except MemoryError:
         print("tsplat: out of memory; try --max-splats or a smaller --size", file=sys.stderr)
         return 1

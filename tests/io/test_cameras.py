@@ -109,6 +109,13 @@ def test_transforms_json_in_the_world_that_was_trained_in(tmp_path):
     np.testing.assert_allclose(camera.rotation @ [0, 1, 0], [0, 0, 1])  # +x has become +y
 
 
+def refused(load, path, data, text):
+    """``load`` refuses a file of ``data`` with this."""
+    path.write_text(json.dumps(data))
+    with pytest.raises(CameraError, match=text):
+        load(path)
+
+
 BAD_TRANSFORMS = {
     "frames: expected a list of at least one": transforms(frames=[]),
     "frame 0: expected an object, got int": transforms(frames=[3]),
@@ -125,13 +132,9 @@ BAD_TRANSFORMS = {
 def test_bad_transforms(tmp_path, text):
     """The frame and what is wrong with it are named."""
     path = tmp_path / "transforms.json"
-    path.write_text(json.dumps(BAD_TRANSFORMS[text]))
-    with pytest.raises(CameraError, match=text):
-        load_cameras(path)
-    path.write_text(json.dumps(transforms()))
+    refused(load_cameras, path, BAD_TRANSFORMS[text], text)
     (tmp_path / "dataparser_transforms.json").write_text("{}")
-    with pytest.raises(CameraError, match="lacks transform or scale"):
-        load_cameras(path)
+    refused(load_cameras, path, transforms(), "lacks transform or scale")
 
 
 def test_rotations_alone_are_the_cameras(tmp_path):
@@ -168,10 +171,7 @@ BAD_ROTATIONS = {
 @pytest.mark.parametrize("text", BAD_ROTATIONS)
 def test_bad_rotations(tmp_path, text):
     """One line, and no other exception."""
-    path = tmp_path / "cameras.json"
-    path.write_text(json.dumps(BAD_ROTATIONS[text]))
-    with pytest.raises(CameraError, match=text):
-        load_rotations(path)
+    refused(load_rotations, tmp_path / "cameras.json", BAD_ROTATIONS[text], text)
 
 
 def test_cameras_lie_beside_or_above(tmp_path):

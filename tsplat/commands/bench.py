@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tsplat.commands import INTERRUPTED
 from tsplat.commands.common import camera_from_file, load, print_json, say
 from tsplat.core.camera import Camera
 from tsplat.core.errors import OutputError, PluginError, TsplatError, printable
@@ -41,7 +42,6 @@ STAGES_WIDTH = 130
 """Columns of a terminal that has room for the time of each stage."""
 
 DRAWN = (".png", ".svg")
-INTERRUPTED = 130
 
 
 def run(arguments: argparse.Namespace) -> int:

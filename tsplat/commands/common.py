@@ -21,14 +21,15 @@ from tsplat.core.errors import CameraError, ParamsError
 from tsplat.core.params import PRESETS, RenderParams, parse_settings, settings_text
 from tsplat.core.types import Scene, Up
 
-DEADLY = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-
 if TYPE_CHECKING:
     from tsplat.edits import Edits
     from tsplat.plan import Plan
     from tsplat.quality.calibrate import Calibration
 
 DEFAULT_SIZE = 1280, 720
+
+DEADLY = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""What ends a process from outside; Windows has no SIGHUP."""
 
 
 def load(arguments: argparse.Namespace, *, exact: bool = False) -> Scene:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tsplat.commands import INTERRUPTED
 from tsplat.commands.common import edits, load_unedited, print_json, say, unwinding
 from tsplat.core.errors import CameraError, SceneError, printable
 from tsplat.edits import NOTHING, nothing_left
@@ -25,10 +26,6 @@ if TYPE_CHECKING:
     from tsplat.core.types import Scene
     from tsplat.quality.converted import FieldError
     from tsplat.quality.measure import Error
-
-
-INTERRUPTED = 130
-"""The exit code of what Ctrl-C has ended."""
 
 
 @dataclass(frozen=True)

@@ -55,9 +55,7 @@ def color(text: str) -> tuple[float, float, float] | None:
 
 def count(text: str) -> int:
     """A whole number from 1 on."""
-    if not re.fullmatch(r"[0-9]{1,12}", text) or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number from 1 to 10^12, got {text!r}")
-    return int(text)
+    return _upto(text, 10**12 - 1)
 
 
 def _upto(text: str, most: int) -> int:

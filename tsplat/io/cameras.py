@@ -81,6 +81,7 @@ def load_timed_cameras(path: str | os.PathLike[str]) -> list[tuple[Camera, float
     return cameras
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what overflows is no rotation
 def load_rotations(path: str | os.PathLike[str]) -> F64:
     """[n, 3, 3] world to camera of every camera in the file.
 
@@ -94,14 +95,12 @@ def load_rotations(path: str | os.PathLike[str]) -> F64:
     if isinstance(data, dict) and "frames" in data:
         world, _ = _world(Path(path))
         placed = _stacked(_frames(data, shown), "transform_matrix", 4, shown)[:, :3, :3]
-        with np.errstate(all="ignore"):  # what overflows is no rotation
-            rotations = (world[:3, :3] @ (placed * OPENGL[:3])).transpose(0, 2, 1)
+        rotations = (world[:3, :3] @ (placed * OPENGL[:3])).transpose(0, 2, 1)
     elif isinstance(data, list) and data and all(map(_inria, data)):
         rotations = _stacked(data, "rotation", 3, shown).transpose(0, 2, 1)
     else:
         rotations = np.stack([camera.rotation for camera in load_cameras(path)])
-    with np.errstate(all="ignore"):  # what overflows is no rotation
-        off = float(np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max())
+    off = float(np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max())
     if not off <= ROTATION_SLACK:
         raise CameraError(
             f"{shown}: expected rotations, but rows are off orthonormal by {off:.3g}; "

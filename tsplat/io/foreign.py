@@ -17,7 +17,8 @@ NAMED = {
 """Why a file with the name of a format that is read has not been taken for one."""
 
 
-PACKED = {".spz": b"\x1f\x8b", ".sog": b"PK\x03\x04"}
+GZIP, ZIP = b"\x1f\x8b", b"PK\x03\x04"
+PACKED = {".spz": GZIP, ".sog": ZIP}
 """How files of packed formats begin, whatever is in them."""
 
 
@@ -38,8 +39,8 @@ def foreign(file: Path, start: bytes) -> str:
     if suffix in PACKED and start.startswith(PACKED[suffix]):
         return f"damaged: named {suffix}, but {NAMED[suffix]}; copy or download it again"
     for magic, kind in (
-        (b"\x1f\x8b", "gzip-compressed file; unpack it first"),
-        (b"PK\x03\x04", "zip archive; unpack it first"),
+        (GZIP, "gzip-compressed file; unpack it first"),
+        (ZIP, "zip archive; unpack it first"),
         (b"version https://git-lfs", "Git LFS pointer; fetch the file itself with: git lfs pull"),
         (b"<", "web page or XML file; was the download refused?"),
     ):

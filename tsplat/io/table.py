@@ -7,6 +7,7 @@ the rows of a PLY file, or NumPy where there is no C.
 from __future__ import annotations
 
 import threading
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,9 @@ from tsplat.core.constants import SH_C0
 from tsplat.core.types import F32, I32, Floats
 from tsplat.io import native
 from tsplat.io.clean import SceneBuilder
-from tsplat.io.turn import Turn
+
+if TYPE_CHECKING:
+    from tsplat.io.turn import Turn
 
 MEAN, QUAT, SCALE = slice(0, 3), slice(3, 7), slice(7, 10)
 OPACITY = slice(10, 11)

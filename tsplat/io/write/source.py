@@ -100,7 +100,7 @@ class Source:
         """World units: the median of Gaussians' largest standard deviations; 0 of none."""
         step = max(len(self) // ROWS, 1)
         scales = self.scales(np.arange(0, len(self), step))
-        return float(np.median(scales.max(1))) if len(scales) else 0.0
+        return clean.median(scales.max(1)) if len(scales) else 0.0
 
     def reach(self) -> float:
         """World units: the largest coordinate; 0 of none."""
